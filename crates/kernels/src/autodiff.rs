@@ -51,7 +51,7 @@ fn register<const N: usize>(
 struct Convolution;
 
 impl Backward<Flex, 7> for Convolution {
-    /// Input and weight, and the normalisation of the input.
+    /// Input and weight, and the normalization of the input.
     type State = (
         [FlexTensor; 2],
         Option<MeasuredNorm>,
@@ -187,7 +187,7 @@ impl Backward<Flex, 2> for Concat {
         let gradient = gradients.consume::<Flex>(&ops.node);
         let mut first = 0;
         let values = ops.state.map(|channels| {
-            // A view: the kernels read channels that lie within wider rows.
+            // A view suffices, because the kernels read channels that lie within wider rows.
             let layout = gradient.layout().narrow(1, first, channels);
             first += channels;
             Some(gradient.clone().with_layout(layout))

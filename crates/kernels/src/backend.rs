@@ -30,7 +30,7 @@ pub struct Options {
     pub bias: bool,
     /// Addend of a convolution's output.
     pub residual: bool,
-    /// Scale and shift after a normalisation.
+    /// Scale and shift after a normalization.
     pub film: bool,
     /// Factors after an activation.
     pub mask: bool,
@@ -50,7 +50,7 @@ impl From<Option<&Lengths>> for Options {
 }
 
 impl Options {
-    /// The keys that are attended to.
+    /// The keys that queries attend to.
     pub fn attended(&self) -> Attended<'_> {
         match (&self.keys, self.frames()) {
             (Some(ranges), _) => Attended::Ranges(ranges),
@@ -69,7 +69,7 @@ impl Options {
 #[allow(clippy::too_many_arguments)]
 #[backend_extension(Flex, Autodiff)]
 pub trait FusedOps: Backend {
-    /// [`ConvolutionPlan`] of `x`, whose normalisation has the parameters `norm_weight`,
+    /// [`ConvolutionPlan`] of `x`, whose normalization has the parameters `norm_weight`,
     /// `norm_bias`, `film` and `mask`.
     fn fused_convolution(
         x: FloatTensor<Self>,
@@ -123,7 +123,7 @@ pub trait FusedOps: Backend {
         options: Options,
     ) -> FloatTensor<Self>;
 
-    /// Normalisation of each row of `x`, `[rows, features]`.
+    /// Normalization of each row of `x`, `[rows, features]`.
     fn fused_layer_norm(
         x: FloatTensor<Self>,
         weight: FloatTensor<Self>,
@@ -138,7 +138,7 @@ pub trait FusedOps: Backend {
     fn fused_linear_map(x: FloatTensor<Self>, map: SharedMap) -> FloatTensor<Self>;
 }
 
-/// A normalisation of one input.
+/// A normalization of one input.
 #[derive(Clone, Debug)]
 pub(crate) struct MeasuredNorm {
     plan: GroupNormPlan,
@@ -162,7 +162,7 @@ impl MeasuredNorm {
         }
     }
 
-    /// Calls `work` with the normalisation as slices.
+    /// Calls `work` with the normalization as slices.
     pub fn slices<R>(&self, options: &Options, work: impl FnOnce(Norm<'_>) -> R) -> R {
         let [weight, bias, film, mask] = &self.tensors;
         let film = options.film.then(|| contiguous(film));
@@ -179,7 +179,7 @@ impl MeasuredNorm {
     }
 }
 
-/// The gradients of a normalisation's weight, bias and FiLM as tensors.
+/// The gradients of a normalization's weight, bias and FiLM as tensors.
 pub(crate) fn norm_gradients(gradients: NormGradients, batch: usize) -> [Option<FlexTensor>; 3] {
     let channels = gradients.weight.len();
     let film = gradients.film;
@@ -242,7 +242,7 @@ pub(crate) fn convolution(
 
 pub(crate) fn group_norm(x: Rows<'_>, norm: &MeasuredNorm, options: &Options) -> FlexTensor {
     let output = norm.slices(options, |norm| {
-        // SAFETY: a normalisation writes every element.
+        // SAFETY: a normalization writes every element.
         #[allow(unsafe_code)]
         unsafe {
             rows_written_by(x.shape(), |rows| norm::forward(x, &norm, rows))
@@ -268,7 +268,7 @@ pub(crate) fn cross_heads<'a>(
     }
 }
 
-/// Heads of queries, keys and values side by side.
+/// Heads of queries, keys and values that lie side by side.
 pub(crate) fn self_heads<'a>(all: Rows<'a>, num_heads: usize, options: &'a Options) -> Heads<'a> {
     let channels = all.channels / 3;
     Heads {
@@ -284,8 +284,8 @@ pub(crate) fn attend(heads: Heads<'_>) -> FlexTensor {
     from_rows(heads.forward(), heads.queries.shape())
 }
 
-/// Gradients of queries, keys and values in tensors that contain them in order: the frames of each
-/// tensor, and the number of its parts.
+/// Gradients of queries, keys and values, in order, in tensors with these frames and numbers of
+/// parts.
 pub(crate) fn attend_backward<const N: usize>(
     heads: Heads<'_>,
     gradient: Rows<'_>,

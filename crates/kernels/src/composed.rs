@@ -1,4 +1,4 @@
-//! The operations composed of Burn's, for every device.
+//! The operations composed of Burn's operations, for every device.
 
 use std::ops::Range;
 
@@ -93,7 +93,7 @@ pub(crate) fn convolution(x: Tensor<3>, convolution: Convolution) -> Tensor<3> {
         None => x,
     };
     let y = if transposed {
-        // The map that undoes a stride: zeros between the frames, and the kernel turned around.
+        // A transposed convolution inserts zeros between the frames and flips the kernel.
         let padding = geometry.kernel - 1 - geometry.padding;
         let weight = weight.swap_dims(0, 1).flip([2]);
         multiply_windows(spread(x, geometry.stride), weight, padding, 1)
@@ -222,7 +222,7 @@ pub(crate) fn ranged_attention(
         let spans = (0..batch).map(|sample| ranges.span(sample, part.clone()));
         let spans = spans.filter(|span| !span.is_empty());
         let span = spans.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end));
-        // Without any, one masked key: zeros that stay part of the graph.
+        // A part without keys gets one masked key, whose zeros stay part of the graph.
         let span = span.unwrap_or(0..1);
         let of =
             |x: &Tensor<3>, frames: &Range<usize>| x.clone().narrow(2, frames.start, frames.len());
@@ -238,7 +238,7 @@ pub(crate) fn ranged_attention(
     Tensor::cat((0..time).step_by(length).map(part).collect(), 2)
 }
 
-/// Fewest queries of a part.
+/// Minimum number of queries of a part.
 const SHORTEST_PART: usize = if cfg!(test) { 2 } else { 64 };
 
 /// Attention under a mask `[batch, 1, 1 or time, keys]`; a query without a key gives zeros.
@@ -258,7 +258,8 @@ fn masked(
     let scale = (head_channels as f64).powf(-0.5);
     let scores = product(heads(queries).swap_dims(2, 3), heads(keys)).mul_scalar(scale);
     let weights = match mask {
-        // Far below every score, and finite: the weight is exactly 0 after the softmax.
+        // Hidden scores are far below every score, and finite: the weight is exactly 0 after the
+        // softmax.
         Some(mask) => {
             let hidden = mask.clone().sub_scalar(1.0).mul_scalar(1e9);
             softmax(scores + hidden) * mask
@@ -268,8 +269,8 @@ fn masked(
     product(heads(values), weights.swap_dims(2, 3)).reshape([batch, channels, time])
 }
 
-/// Softmax over the last dimension, from primitives. Burn's own is fused without gradients and then
-/// differs in the last bits, but a rollout recomputed for its gradient must repeat exactly.
+/// Softmax over the last dimension, from primitives. Burn's softmax is fused without gradients and
+/// then differs in the last bits, but a rollout recomputed for its gradient must repeat exactly.
 fn softmax(scores: Tensor<4>) -> Tensor<4> {
     let largest = scores.clone().without_autodiff().max_dim(3);
     let exponentials = (scores - largest).exp();

@@ -11,7 +11,7 @@ use crate::{GroupNorm, Lengths, composed, product};
 /// A convolution over time, fused with the operations right before and after it.
 ///
 /// On the CPU this is one operation that stores its input and parameters. The backward pass
-/// recomputes the normalised or repeated input.
+/// recomputes the normalized or repeated input.
 ///
 /// ```text
 /// y = conv(norm(x)) + bias + residual        or        y = conv(upsample(x)) + bias + residual
@@ -80,7 +80,7 @@ impl Convolution {
         }
     }
 
-    /// Normalises the input.
+    /// Normalizes the input.
     pub fn norm(self, norm: GroupNorm) -> Self {
         Self {
             norm: Some(norm),

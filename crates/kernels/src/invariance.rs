@@ -11,8 +11,8 @@ thread_local! {
 /// Runs `work` on this thread for batches of `samples` samples. Kernels give each sample the same
 /// bits as in a batch of one.
 ///
-/// Products of few rows use another algorithm, which rounds differently. Outside this scope the
-/// rows of the whole batch choose the algorithm. Operations without a kernel are not affected.
+/// Products of few rows use another algorithm, which rounds differently. Outside this scope the row
+/// count of the whole batch selects the algorithm. Operations without a kernel do not change.
 ///
 /// # Panics
 /// Panics if `samples` is 0.
@@ -21,7 +21,7 @@ pub fn batch_invariant<R>(samples: usize, work: impl FnOnce() -> R) -> R {
     scoped(&SAMPLES, samples, work)
 }
 
-/// Samples of a batch in the current [`batch_invariant`] scope, else 1.
+/// Samples of a batch in the current [`batch_invariant`] scope, otherwise 1.
 pub(crate) fn samples() -> usize {
     SAMPLES.get()
 }

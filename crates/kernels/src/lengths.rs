@@ -44,7 +44,7 @@ impl Lengths {
         Tensor::from_data(TensorData::new(values, [self.0.len(), 1, 1]), device)
     }
 
-    /// Asserts that they fit a batch of `batch` samples of `time` frames.
+    /// Asserts that the lengths fit a batch of `batch` samples of `time` frames.
     pub(crate) fn check(&self, batch: usize, time: usize) {
         assert_eq!(self.0.len(), batch, "lengths of a batch");
         assert!(
@@ -94,7 +94,7 @@ impl KeyRanges {
         start as usize..end as usize
     }
 
-    /// Most keys of a query.
+    /// Maximum number of keys of a query.
     pub fn widest(&self) -> usize {
         self.widest
     }
@@ -129,7 +129,8 @@ impl KeyRanges {
         Tensor::from_data(TensorData::new(values, shape), device)
     }
 
-    /// Asserts that they fit a batch of `batch` samples with these numbers of queries and keys.
+    /// Asserts that the ranges fit a batch of `batch` samples with these numbers of queries and
+    /// keys.
     pub(crate) fn check(&self, batch: usize, queries: usize, keys: usize) {
         assert_eq!(
             (self.ranges.len(), self.queries),

@@ -1,8 +1,8 @@
-//! Fused operations of motion networks, and the optimiser's step.
+//! Fused operations of motion networks, and the optimizer's step.
 //!
-//! Each operation is one function over Burn tensors. On the CPU (Flex) it runs as kernels of this
-//! crate, forward and backward. On other devices, or with [`Mode::Composed`], it is composed of
-//! Burn's operations. Both agree to rounding.
+//! Each operation is one function over Burn tensors. On the CPU (Flex) an operation runs as kernels
+//! of this crate, forward and backward. On other devices, or with [`Mode::Composed`], the operation
+//! consists of Burn's operations. Both agree to rounding.
 //!
 //! ```text
 //! convolution, normalization,

@@ -2,8 +2,9 @@
 
 /// Keeps freed memory for the next training step instead of returning it to the system.
 ///
-/// Returning some hundred megabytes and faulting them in again took a tenth of a step; the peak is
-/// the same. Call it when a training program starts. It affects only the GNU C library.
+/// Returning some hundred megabytes and faulting them in again took a tenth of a step; peak memory
+/// does not change. Training programs call this function at start. Only the GNU C library is
+/// affected.
 pub fn keep_freed() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {

@@ -51,8 +51,8 @@ impl Mode {
         }
     }
 
-    /// The mode of this thread: that of the enclosing [`scope`](Self::scope), else that of the
-    /// environment at first use.
+    /// The mode of this thread: that of the enclosing [`scope`](Self::scope), otherwise the
+    /// environment's mode at first use.
     pub fn current() -> Self {
         static ENVIRONMENT: OnceLock<Mode> = OnceLock::new();
         let environment =

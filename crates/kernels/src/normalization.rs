@@ -7,7 +7,7 @@ use crate::host::norm::GroupNormPlan;
 use crate::mode::fuses;
 use crate::{Activation, Lengths};
 
-/// Group normalisation over channels and time (biased variance), then optionally FiLM, an
+/// Group normalization over channels and time (biased variance), then optionally FiLM, an
 /// activation and a mask:
 ///
 /// ```text
@@ -27,7 +27,7 @@ pub struct GroupNorm {
     pub(crate) plan: GroupNormPlan,
 }
 
-/// The tensors of a normalisation, with placeholders for missing ones.
+/// The tensors of a normalization, with placeholders for missing tensors.
 pub(crate) struct NormTensors {
     pub weight: Tensor<1>,
     pub bias: Tensor<1>,
@@ -36,7 +36,7 @@ pub(crate) struct NormTensors {
 }
 
 impl GroupNorm {
-    /// A normalisation of `groups` groups; weight and bias `[channels]`.
+    /// A normalization of `groups` groups; weight and bias `[channels]`.
     pub fn new(weight: Tensor<1>, bias: Tensor<1>, groups: usize, eps: f64) -> Self {
         let plan = GroupNormPlan {
             groups,
@@ -53,7 +53,8 @@ impl GroupNorm {
         }
     }
 
-    /// Scales by 1 plus the first half of `film`, `[batch, 2 channels]`, and shifts by the second.
+    /// Scales by 1 plus the first half of `film`, `[batch, 2 channels]`, and shifts by the second
+    /// half.
     pub fn film(self, film: Tensor<2>) -> Self {
         Self {
             film: Some(film),
@@ -135,21 +136,21 @@ impl GroupNorm {
     }
 }
 
-/// Normalises each row over its features (biased variance), then scales and shifts each feature.
+/// Normalizes each row over its features (biased variance), then scales and shifts each feature.
 ///
 /// # Shapes
 /// - x, output: `[rows, features]`
 /// - weight, bias: `[features]`
 ///
 /// # Panics
-/// Panics if there are no features, or weight and bias have others.
+/// Panics if rows have no features, or weight or bias have another number of features.
 pub fn layer_norm(x: Tensor<2>, weight: Tensor<1>, bias: Tensor<1>, eps: f64) -> Tensor<2> {
     let features = x.dims()[1];
     assert!(features > 0, "rows to normalise without features");
     assert_eq!(weight.dims(), [features], "weight of a normalisation");
     assert_eq!(bias.dims(), [features], "bias of a normalisation");
     if !fuses(&x) {
-        // Rows of one frame in one group.
+        // Rows are samples of one frame with one group.
         let norm = GroupNorm::new(weight, bias, 1, eps);
         return composed::group_norm(x.unsqueeze_dim(2), norm).squeeze_dim(2);
     }

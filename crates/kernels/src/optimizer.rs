@@ -1,4 +1,4 @@
-//! The optimiser's step in host memory: one pass over the gradients for their norm, then one
+//! The optimizer's step in host memory: one pass over the gradients for their norm, then one
 //! in-place pass for clipping, AdamW and the moving average.
 
 mod tensors;
@@ -8,10 +8,10 @@ pub use tensors::AdamWTensors;
 use crate::host::simd::vectorized;
 use crate::host::team;
 
-/// Elements of a task. Fixed, so that sums do not depend on the number of threads.
+/// Elements of a task. The number is fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 1 << 14;
 
-/// Parallel sums within a chunk, for vectorisation.
+/// Parallel sums within a chunk, for vectorization.
 const LANES: usize = 32;
 
 /// The sum of the squares of `values`, in double precision and in a fixed order.
@@ -57,7 +57,7 @@ pub fn divide(values: &mut [f32], divisor: f64) {
 /// The settings of one AdamW step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AdamW {
-    /// Decay of the running means of the gradient and of its square.
+    /// Decay of the running means of gradient and squared gradient.
     pub betas: [f64; 2],
     /// Added to the denominator.
     pub eps: f64,

@@ -6,7 +6,7 @@ use burn::tensor::{FloatDType, Tensor};
 
 use crate::mode::scoped;
 
-/// The precision of a network's matrix products. Weights, normalisations, softmax and sums stay in
+/// The precision of a network's matrix products. Weights, normalizations, softmax and sums stay in
 /// float32.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Precision {
@@ -29,13 +29,14 @@ impl Precision {
     }
 
     /// Runs `work` with this precision on this thread. A backward pass has the precision of its
-    /// forward pass; one that recomputes parts of the forward pass must run inside the scope.
+    /// forward pass; a backward pass that recomputes parts of the forward pass must run inside the
+    /// scope.
     pub fn scope<R>(self, work: impl FnOnce() -> R) -> R {
         scoped(&CURRENT, self, work)
     }
 }
 
-/// `a b` in the [`Precision`] that is set.
+/// The matrix product `a b` in the current [`Precision`].
 pub fn product<const D: usize>(a: Tensor<D>, b: Tensor<D>) -> Tensor<D> {
     match Precision::current() {
         Precision::Float32 => a.matmul(b),

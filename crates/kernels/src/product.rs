@@ -7,7 +7,7 @@ use crate::mode::fuses;
 /// Channels per block; the products of a block take `BLOCK` times the memory of the result.
 const BLOCK: usize = 16;
 
-/// `W x` of every frame, each product in float32 whatever the device.
+/// `W x` of every frame, with float32 products on every device.
 ///
 /// GPU matrix units may use 10 of the 23 mantissa bits (TF32). Each factor then has a relative
 /// error of up to 1/2,000, which a matrix with a large inverse amplifies to the size of the values.

@@ -1,4 +1,4 @@
-//! The loop of a gated recurrent unit over time; its input projection is computed before.
+//! The loop of a gated recurrent unit over time. Callers compute the input projection.
 
 use burn::backend::Dispatch;
 use burn::tensor::activation::sigmoid;
@@ -43,8 +43,8 @@ impl Direction {
 /// r, z = sigmoid(input + state)    n = tanh(input + r * state)    h' = (1 - z) n + z h
 /// ```
 ///
-/// `input` is one of the three parts (reset, update, new) of `inputs`, `state` one of those of
-/// `weight h + bias`. Beyond its length a sequence keeps its state. Source: Cho et al. 2014,
+/// `input` is one of the three parts (reset, update, new) of `inputs`, and `state` is the same part
+/// of `weight h + bias`. A sequence keeps its state beyond its length. Source: Cho et al. 2014,
 /// <https://arxiv.org/abs/1406.1078>, in PyTorch's form.
 ///
 /// # Shapes

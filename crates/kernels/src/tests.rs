@@ -1,5 +1,5 @@
-//! Kernels against the composed operations, against a reference in double precision, and at the
-//! edges of what numbers can be.
+//! Kernels against the composed operations, against a reference in double precision, and with
+//! numbers that are not finite.
 
 mod bounds;
 mod cases;

@@ -1,5 +1,5 @@
-//! Training a denoiser on noised motion, shared by the recipes of all systems: batches, random inputs,
-//! loss and validation.
+//! Training a denoiser on noised motion, shared by the recipes of all systems: batches, random
+//! inputs, loss and validation.
 
 use std::cell::OnceCell;
 use std::ops::Range;
@@ -20,7 +20,7 @@ use crate::recipe::{Loss, Measured, Recipe, StepKey};
 /// A batch on the device.
 #[derive(Clone, Debug)]
 pub struct Inputs {
-    /// `[batch, channels, time]`, normalised.
+    /// `[batch, channels, time]`, normalized.
     pub x_start: Tensor<3>,
     /// The condition of each sample.
     pub cond: Conditions,
@@ -54,7 +54,7 @@ impl Inputs {
 }
 
 /// The conditions of a batch by name: `[batch, channels, time]` each, with time 1 for constant
-/// conditions; zeros for samples without it.
+/// conditions. Samples without a condition have zeros.
 #[derive(Clone, Debug)]
 pub struct Conditions(Vec<(&'static str, Tensor<3>)>);
 
@@ -67,13 +67,13 @@ impl Conditions {
     /// The condition of that name.
     ///
     /// # Panics
-    /// Panics if the dataset does not provide it.
+    /// Panics if the dataset does not provide the condition.
     pub fn get(&self, name: &str) -> &Tensor<3> {
         let found = self.find(name);
         found.unwrap_or_else(|| panic!("no condition `{name}`"))
     }
 
-    /// The condition of that name, if there is one.
+    /// The condition of that name, if present.
     pub fn find(&self, name: &str) -> Option<&Tensor<3>> {
         let found = self.0.iter().find(|(known, _)| *known == name);
         found.map(|(_, cond)| cond)
@@ -107,15 +107,16 @@ pub struct StyleDropoutMask {
 }
 
 impl StyleDropoutMask {
-    /// The masks for the style in `cond`. Dropping everything, the numbers alone and the label alone
-    /// each have this `probability`. `None` drops nothing.
+    /// The masks for the style in `cond`. The cases "drop everything", "drop the numbers" and "drop
+    /// the label" have this `probability` each. `None` drops nothing.
     fn sample(cond: &Conditions, probability: f64, key: Key, device: &Device) -> Option<Self> {
         let parts = [STYLE, LABEL].map(|name| cond.find(name));
         let batch = parts.into_iter().flatten().next()?.dims()[0];
         if probability <= 0.0 {
             return None;
         }
-        // All, the numbers alone, the label alone, nothing. Of one part only all or nothing.
+        // The kinds drop everything, the numbers, the label, or nothing. A style of one part is
+        // dropped entirely or not at all.
         let kinds = 1 + 2 * usize::from(parts.iter().all(Option::is_some));
         let kind = |u| Some((f64::from(u) / probability) as usize).filter(|kind| *kind < kinds);
         let dropped: Vec<usize> = key
@@ -189,8 +190,8 @@ pub fn noise(key: Key, shape: [usize; 3], device: &Device) -> Tensor<3> {
 /// L = distance(target, f(x_t, t, cond))     x_t = sqrt(abar_t) x_start + sqrt(1 - abar_t) noise
 /// ```
 ///
-/// with the target chosen by `diffusion.prediction_type`, and the condition zero where it is
-/// dropped. `distance` is called with output, target and mask.
+/// `diffusion.prediction_type` selects the target. A dropped condition is zero. `distance` is
+/// called with output, target and mask.
 pub fn denoising_loss(
     diffusion: &GaussianDiffusion,
     inputs: Inputs,
@@ -265,7 +266,8 @@ impl<M> DenoisingRecipe<M> {
         }
     }
 
-    /// The recipe that validates before the first step, because the initial weights are trained.
+    /// The recipe that validates before the first step, because training starts from trained
+    /// weights.
     #[must_use]
     pub fn measuring_first(self, measures_first: bool) -> Self {
         Self {
@@ -323,7 +325,7 @@ pub struct HeldOut {
 }
 
 impl HeldOut {
-    /// The items of `samples`, which must be in memory: validation panics otherwise.
+    /// The items of `samples`. Validation panics if the items are not in memory.
     pub fn new(samples: impl Samples, validation: &ValidationConfig) -> Self {
         Self {
             ids: samples.items().ids().map(String::from).collect(),
@@ -334,7 +336,7 @@ impl HeldOut {
         }
     }
 
-    /// The same data, of which each rank of `group` validates a part.
+    /// The held-out data, of which each rank of `group` validates a part.
     #[must_use]
     pub fn among(self, group: &Rc<ProcessGroup>) -> Self {
         Self {
@@ -375,7 +377,7 @@ impl HeldOut {
         starts.map(|start| start..(start + self.batch_size).min(self.len()))
     }
 
-    /// Noise keyed by item and draw only, so that runs with other seeds are comparable.
+    /// Noise that depends on item and draw only, so that runs with other seeds are comparable.
     pub fn noise(&self, range: Range<usize>, draw: u64, like: &Tensor<3>) -> Tensor<3> {
         let [_, channels, time] = like.dims();
         let values: Vec<f32> = self.ids[range]
@@ -388,8 +390,9 @@ impl HeldOut {
         Tensor::from_data(TensorData::new(values, like.dims()), &like.device())
     }
 
-    /// The mean of a loss over all items and draws, without dropout, at fixed timesteps: draw k of
-    /// item p of P has `floor((k P + p + 0.5) T / (draws P))`, so that they cover [0, T) evenly.
+    /// The mean of a loss over all items and draws, without dropout, at fixed timesteps. Draw k of
+    /// item p of P has timestep `floor((k P + p + 0.5) T / (draws P))`, so that the timesteps cover
+    /// `[0, T)` evenly.
     pub fn mean_loss(
         &self,
         diffusion: &GaussianDiffusion,
@@ -414,7 +417,8 @@ impl HeldOut {
         })
     }
 
-    /// The mean of a loss over all items and draws, added in one order. Ranks share the batches.
+    /// The mean of a loss over all items and draws, added in a fixed order. Ranks share the
+    /// batches.
     pub fn mean(
         &self,
         device: &Device,
@@ -493,7 +497,7 @@ mod tests {
         Conditions::new(names.iter().map(|&name| (name, ones.clone())))
     }
 
-    /// Shares of samples that keep numbers and label, numbers, label, and neither.
+    /// Shares of samples that keep both parts, the numbers, the label, and neither part.
     fn shares(names: &[&'static str], probability: f64) -> [f64; 4] {
         let (batch, key) = (4000, Key::new(7, Purpose::StyleDropout));
         let cond = conditions(batch, names);
@@ -537,7 +541,7 @@ mod tests {
             shares(&["audio", STYLE, LABEL], 0.05),
             [0.85, 0.05, 0.05, 0.05],
         );
-        // Of one part alone, that one as often.
+        // A style of one part is dropped with the same probability.
         near(shares(&["audio", STYLE], 0.2), [0.8, 0.0, 0.0, 0.2]);
         near(shares(&["audio", LABEL], 0.3), [0.7, 0.0, 0.0, 0.3]);
         let (key, device) = (Key::new(7, Purpose::StyleDropout), Device::flex());

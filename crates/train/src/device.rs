@@ -6,11 +6,11 @@ use kinegrad_settings::InvalidSetting;
 
 /// A kind of device compiled into this build.
 pub struct Kind {
-    /// The value of `run.device` that picks it.
+    /// The value of `run.device` that selects this kind.
     pub name: &'static str,
     /// A description.
     pub description: &'static str,
-    /// True if a machine may have several, each with an index.
+    /// True if a machine may have several such devices, each with an index.
     indexed: bool,
     open: fn(index: usize) -> Device,
 }
@@ -67,7 +67,7 @@ const KINDS: &[Kind] = &[
         description: "CPU, Burn's NdArray backend (deprecated there)",
         indexed: false,
         open: |_| {
-            // Burn deprecates the backend; it stays for comparison as long as Burn has it.
+            // Burn deprecates this backend; it serves for comparison while Burn has it.
             #[allow(deprecated)]
             Device::ndarray()
         },
@@ -87,13 +87,14 @@ pub fn kernels() -> &'static str {
     }
 }
 
-/// The devices compiled into this build, best first, with whether each works on this machine.
+/// The kinds of device in this build, best first, and true for each kind that works on this
+/// machine.
 pub fn list() -> impl Iterator<Item = (&'static Kind, bool)> {
     KINDS.iter().map(|kind| (kind, works(kind, 0).is_some()))
 }
 
-/// Opens the device called `name`: `auto` for the best that works, a kind, or a kind with an
-/// index such as `cuda:1`. Returns it with the name it goes by.
+/// Opens the device `name`: `auto` for the best working device, a kind, or a kind with an index
+/// such as `cuda:1`. Returns the device and its resolved name.
 ///
 /// # Errors
 /// If the device is missing or fails, or the environment names unknown kernels.
@@ -101,7 +102,7 @@ pub fn open(name: &str) -> Result<(Device, String), InvalidSetting> {
     open_for(name, 0)
 }
 
-/// Like [`open`], for process `local` of a machine, which takes its own device of a kind.
+/// [`open`] for process `local` of a machine; each process takes a separate device of a kind.
 pub(crate) fn open_for(name: &str, local: usize) -> Result<(Device, String), InvalidSetting> {
     Mode::from_environment().map_err(|error| {
         let found = format!("\"{}\" in the environment", error.found);
@@ -160,7 +161,7 @@ pub(crate) fn open_for(name: &str, local: usize) -> Result<(Device, String), Inv
     }
 }
 
-/// The device of process `local`: its own, or the only one that its launcher shows it.
+/// The device with index `local`, or the only device that the launcher shows to the process.
 fn own(kind: &Kind, local: usize) -> Option<(Device, String)> {
     let index = if kind.indexed { local } else { 0 };
     let found = works(kind, index).map(|device| (device, kind.name_of(index)));

@@ -1,17 +1,17 @@
-//! The exponential moving average of the weights. It starts as a copy, and the optimiser's pass updates
-//! it:
+//! The exponential moving average of the weights. The average starts as a copy of the weights, and
+//! the optimizer's pass updates it:
 //!
 //! ```text
 //! average += (1 - decay) (parameter - average)
 //! ```
 //!
-//! which does not drift when `decay` and `1 - decay` are rounded separately.
+//! This form does not drift when `decay` and `1 - decay` are rounded separately.
 
 use crate::config::EmaConfig;
 
 impl EmaConfig {
-    /// The decay of optimiser step `step` (from 1), `min(decay, 1 - (1 + n / inv_gamma)^-power)` for
-    /// update n; `None` without an update.
+    /// The decay of optimizer step `step` (from 1), `min(decay, 1 - (1 + n / inv_gamma)^-power)`
+    /// for update n; `None` without an update.
     fn decay_at(&self, step: u64) -> Option<f64> {
         if !step.is_multiple_of(self.update_every) {
             return None;
@@ -24,7 +24,7 @@ impl EmaConfig {
         Some(self.decay.min(warmed))
     }
 
-    /// `1 - decay` of optimiser step `step` (from 1); `None` without an update.
+    /// `1 - decay` of optimizer step `step` (from 1); `None` without an update.
     pub fn share_at(&self, step: u64) -> Option<f64> {
         self.decay_at(step).map(|decay| 1.0 - decay)
     }

@@ -123,7 +123,7 @@ pub enum Error {
     ForeignWeights {
         /// The file.
         path: PathBuf,
-        /// All of them.
+        /// All differences.
         differences: Vec<String>,
     },
     /// An array of the wrong shape.
@@ -162,7 +162,7 @@ pub enum Error {
         /// The fault.
         reason: String,
     },
-    /// Checkpoints exist and none can be used.
+    /// All existing checkpoints are unusable.
     #[error("no good checkpoint is left in {}:\n{tried}", path.display())]
     #[diagnostic(help("start again under another option `name`"))]
     NoGoodCheckpoint {
@@ -178,11 +178,11 @@ pub enum Error {
          the checkpoint named above"
     ))]
     NotFinite {
-        /// The optimiser step that failed, from 1.
+        /// The optimizer step that failed, from 1.
         step: u64,
         /// The first tensor with an infinity or NaN.
         tensor: String,
-        /// Path of the last good checkpoint, or a note that there is none.
+        /// Path of the last good checkpoint, or a note that no checkpoint exists.
         last_good: String,
     },
     /// A generated sample has numbers that are not finite.

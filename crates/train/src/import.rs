@@ -20,9 +20,9 @@ pub struct ImportRequest {
     pub weights: PathBuf,
     /// One of a system's [`architectures`](crate::System::architectures).
     pub architecture: String,
-    /// `.npy` file of the training data's mean, one number a channel.
+    /// `.npy` file of the training data's mean, one number per channel.
     pub mean: Option<PathBuf>,
-    /// `.npy` file of its standard deviation.
+    /// `.npy` file of the training data's standard deviation.
     pub std: Option<PathBuf>,
     /// `.npy` file of a projection's matrix, for a model that works in a projected space.
     pub projection: Option<PathBuf>,
@@ -51,13 +51,13 @@ impl ImportRequest {
         }
     }
 
-    /// The error of an option that the architecture does not take.
+    /// The error for an option that the architecture does not take.
     pub fn refused(&self, option: &str, hint: &str) -> Error {
         let message = format!("option `{option}` with option `arch {}`", self.architecture);
         Error::usage(message, hint)
     }
 
-    /// The error of weights of another network.
+    /// The error for weights of another network.
     pub fn foreign(&self, reason: String) -> Error {
         Error::Foreign {
             path: self.weights.clone(),
@@ -65,7 +65,7 @@ impl ImportRequest {
         }
     }
 
-    /// The error of weights without the tensor `name`, which those of `network` have.
+    /// The error for weights that lack the tensor `name` of `network`.
     pub fn lacking(&self, name: &str, network: &str) -> Error {
         self.foreign(format!(
             "it has no `{name}`: these are not the weights of {network}"
@@ -73,7 +73,7 @@ impl ImportRequest {
     }
 }
 
-/// The size of a tensor along an axis, if it is there.
+/// The size of a tensor along an axis, if the tensor exists.
 pub fn size(tensors: &BTreeMap<String, Tensor>, name: &str, axis: usize) -> Option<usize> {
     tensors.get(name)?.shape().get(axis).copied()
 }
@@ -99,7 +99,7 @@ impl Imported {
     /// Writes `model` to the folder of `request`, as the only checkpoint of a run of that name.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// If the run cannot be written.
     pub fn write<M: Module>(
         request: &ImportRequest,
         model: &M,
@@ -121,8 +121,8 @@ impl Imported {
     }
 }
 
-/// The tensors of a file without the text encoder and the tables of positions, which are formulas;
-/// and how many are skipped. `tables` are names of more tables.
+/// The needed tensors of a file, and the number of skipped tensors. The text encoder and tables of
+/// positions, which are formulas, are skipped. `tables` names more tables.
 pub fn needed(
     mut tensors: BTreeMap<String, Tensor>,
     tables: &[&str],

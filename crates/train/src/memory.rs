@@ -30,11 +30,11 @@ pub struct Footprint {
 /// convolution, predictions, losses, and joints.
 const COPIES_OF_ITEM: u64 = 16;
 
-/// The same without losses and gradients, measured on the UNet of phrases.
+/// Copies of an item's numbers without losses and gradients, measured on the UNet of phrases.
 const COPIES_WITHOUT_LOSS: u64 = 4;
 
-/// The inverse fraction of stored activations in use at a time without a backward pass; measured on a
-/// UNet of one level. Deep ones need half of that.
+/// One part in this many of the stored activations is in use at a time without a backward pass, as
+/// measured on a UNet of one level. Deep UNets need half.
 const PARTS_OF_ACTIVATIONS: u64 = 4;
 
 impl Footprint {
@@ -51,7 +51,8 @@ impl Footprint {
 
     /// Estimated main memory for training, bytes; `on_host` if the CPU trains.
     pub fn of_training(self, config: &Config, on_host: bool) -> u64 {
-        // Weights, their average, two moments, the copy for a checkpoint and, on the host, gradients.
+        // Weights, moving average, two moments, a checkpoint's copy of the weights and, on the
+        // host, gradients.
         let copies = if on_host { 6 } else { 5 };
         let parameters = self.parameters.saturating_mul(copies * NUMBER);
         let of_items = |items: usize, each: u64| each.saturating_mul(items as u64);
@@ -96,7 +97,8 @@ impl Footprint {
         self.shared.saturating_mul(NUMBER)
     }
 
-    /// Bytes of one item, with the activations of a backward pass or of the layers in use at a time.
+    /// Bytes of one item, with the activations of a backward pass or of the layers in use at a
+    /// time.
     fn of_item(self, with_gradients: bool) -> u64 {
         let inside = match with_gradients {
             true => self.of_gradients(),
@@ -108,7 +110,7 @@ impl Footprint {
 
     /// Bytes that the backward pass stores per item.
     fn of_gradients(self) -> u64 {
-        // Half of it again for temporary memory.
+        // Temporary memory adds another half.
         self.activations.saturating_mul(3 * self.passes * NUMBER) / 2
     }
 }
@@ -148,13 +150,13 @@ pub fn taken() -> Option<Taken> {
 /// Bytes of main memory of this process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Taken {
-    /// At its most so far.
+    /// Peak so far.
     pub most: u64,
     /// Now.
     pub now: u64,
 }
 
-/// Work estimated to take at most this is tried anyway, because estimates are inexact.
+/// Work is always tried if its estimate is at most this large, because estimates are inexact.
 const SMALL: u64 = 256 << 20;
 
 /// Rejects `work` that needs more memory than is free.

@@ -6,16 +6,16 @@ use std::path::{Path, PathBuf};
 use crate::error::Error;
 use crate::parameter_count::ParameterCount;
 
-/// Progress callback of a dataset: items read and in total.
+/// Progress callback of a dataset with items read and total items.
 pub type Reading = dyn Fn(usize, usize) -> ControlFlow<()> + Sync;
 
 /// Callbacks of a training run.
 pub trait Observer {
     /// The run has been set up and starts training (or was already finished).
     fn started(&mut self, summary: &RunSummary);
-    /// An optimiser step was done.
+    /// An optimizer step was done.
     fn stepped(&mut self, report: &StepReport);
-    /// The validation loss was computed; `best` by `validation.select_by`.
+    /// The validation loss was computed. `validation.select_by` defines `best`.
     fn validated(&mut self, step: u64, val_loss: f64, best: bool);
     /// A checkpoint was written.
     fn saved(&mut self, path: &Path);
@@ -30,13 +30,13 @@ pub trait Observer {
     fn note(&mut self, text: &str);
     /// A warning that does not stop the run.
     fn warning(&mut self, text: &str);
-    /// Returns a callback for the progress of opening the dataset and measuring its statistics, called
-    /// from several threads with the number of items read and in total. `Break` ends the run with
+    /// Returns a callback for the progress of opening the dataset and measuring its statistics.
+    /// Several threads call it with items read and total items. `Break` ends the run with
     /// [`Error::Interrupted`].
     fn reading(&self) -> Box<Reading> {
         Box::new(|_, _| ControlFlow::Continue(()))
     }
-    /// True if the run should stop; it then writes a checkpoint.
+    /// True if the run should write a checkpoint and stop.
     fn stop_requested(&self) -> bool;
 }
 
@@ -53,7 +53,7 @@ pub struct Preview {
     pub png: Vec<u8>,
 }
 
-/// One optimiser step.
+/// One optimizer step.
 #[derive(Clone, Copy, Debug)]
 pub struct StepReport {
     /// Steps done, this one included.

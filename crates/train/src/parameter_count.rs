@@ -7,13 +7,13 @@ use serde::Serialize;
 /// Parameter counts of a run's networks.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct ParameterCount {
-    /// All of them: trained, frozen and adapters.
+    /// All parameters: trained, frozen and adapters.
     pub all: usize,
     /// The trained parameters.
     pub trained: usize,
     /// The parameters of low-rank adapters.
     pub adapters: usize,
-    /// All of them by network; empty for a single network.
+    /// All parameters by network; empty for a single network.
     pub networks: Vec<(String, usize)>,
 }
 
@@ -28,7 +28,8 @@ impl ParameterCount {
         }
     }
 
-    /// The counts of `infos`; the name of a parameter of `networks` starts with the network's and a dot.
+    /// The counts of `infos`. A parameter's name starts with the name of its network, one of
+    /// `networks`, and a dot.
     pub fn of(
         infos: &[ParameterInfo],
         networks: &[&str],

@@ -13,7 +13,7 @@ use pytorch_reader::{DType, PytorchReader, Tensor};
 
 use crate::error::Error;
 
-/// All tensors of a file that `torch.save` wrote, by their path through its dictionaries.
+/// All tensors of a file that `torch.save` wrote, by path through the file's dictionaries.
 ///
 /// # Errors
 /// [`Error::Foreign`] for any other file.
@@ -70,7 +70,7 @@ pub fn load<M: Module>(
     load_values(path, module, &found, values)
 }
 
-/// [`load`] of the parameters `found` in the file at `path`, whose numbers `values` reads.
+/// [`load`] of the parameters `found` in the file at `path`; `values` reads the numbers.
 pub(crate) fn load_values<M: Module>(
     path: &Path,
     module: M,
@@ -81,7 +81,7 @@ pub(crate) fn load_values<M: Module>(
     let mut differences = parameters::differences(&infos, found);
     let mut weights = Vec::with_capacity(infos.len());
     for ParameterInfo { name, shape } in infos {
-        // Other shapes are among the differences, and may have any size.
+        // Parameters of other shapes, which may have any size, are listed in `differences`.
         let fits = found
             .iter()
             .any(|info| info.name == name && info.shape == shape);
@@ -146,7 +146,7 @@ pub fn array(
     }
 }
 
-/// Mean and deviation of features from two `.npy` files; published ones are converted to metres.
+/// Mean and deviation of features from two `.npy` files; joint features are converted to meters.
 ///
 /// # Errors
 /// [`Error::Array`] for files of different shapes.

@@ -24,7 +24,7 @@ pub struct RecipeInfo {
 pub struct StepKey {
     /// Seed of the run.
     pub seed: u64,
-    /// Optimiser step, from 0.
+    /// Optimizer step, from 0.
     pub step: u64,
     /// Micro-batch within the step, from 0.
     pub micro_batch: u64,
@@ -42,7 +42,7 @@ impl StepKey {
 /// The loss of one batch. `P` is the state with which the backward pass continues.
 #[derive(Debug)]
 pub struct Loss<P = ()> {
-    /// The minimised loss.
+    /// The minimized loss.
     pub total: Tensor<1>,
     /// The weighted terms of the sum, by name.
     pub terms: Vec<(&'static str, Tensor<1>)>,
@@ -86,15 +86,15 @@ pub trait Recipe {
     /// The networks that are trained.
     type Model: Module;
 
-    /// The state with which the backward pass continues after that of the loss; usually `()`.
+    /// The state for continuing the backward pass beyond the loss; usually `()`.
     type Pending;
 
-    /// The optimiser group of a parameter, an index into [`RecipeInfo::groups`].
+    /// The optimizer group of a parameter, an index into [`RecipeInfo::groups`].
     fn group_of(&self, _parameter: &str) -> usize {
         0
     }
 
-    /// Validate before the first step too, because the initial weights are trained.
+    /// True to validate before the first step too, because training starts from trained weights.
     fn measures_first(&self) -> bool {
         false
     }

@@ -17,7 +17,7 @@ const TEMPI: std::ops::RangeInclusive<f64> = 10.0..=600.0;
 /// Beats in a bar if only a downbeat is stated.
 const BEATS_PER_BAR: u32 = 4;
 
-/// Known facts about a song's beats, which are not tracked.
+/// Known facts about a song's beats, instead of tracked ones.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct KnownBeats {
@@ -27,7 +27,7 @@ pub struct KnownBeats {
     /// Beats in a bar.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub beats_per_bar: Option<u32>,
-    /// Time of a downbeat, seconds; without it bars are unknown.
+    /// Time of a downbeat, seconds; without a downbeat, bars are unknown.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub downbeat: Option<f64>,
 }
@@ -52,7 +52,7 @@ impl KnownBeats {
     /// Rejects an invalid tempo, bar or downbeat.
     ///
     /// # Errors
-    /// [`Error::Usage`] for the first.
+    /// [`Error::Usage`] for the first invalid fact.
     pub fn validate(&self) -> Result<(), Error> {
         if let Some(tempo) = self.tempo.filter(|tempo| !TEMPI.contains(tempo)) {
             let message = format!("option `tempo` is {tempo}, allowed: {TEMPI:?} beats per minute");
@@ -82,7 +82,8 @@ impl KnownBeats {
         Ok(())
     }
 
-    /// The beats of a song with these features, in bars if a downbeat is known; `None` without beats.
+    /// The beats of a song with these features, in bars if a downbeat is known; `None` without
+    /// beats.
     pub fn pulse(&self, features: &Features) -> Option<Pulse> {
         let pulse = Pulse::tracked(features.beats())?;
         Some(match self.downbeat {
@@ -97,7 +98,7 @@ impl KnownBeats {
 /// Decodes the song at `path` and computes its features, with beats near the `known` tempo.
 ///
 /// # Errors
-/// If it cannot be decoded, has unusable samples, or is too long for the free memory.
+/// If the song cannot be decoded, has unusable samples, or is too long for the free memory.
 pub fn song_features(path: &Path, known: &KnownBeats) -> Result<(Waveform, Features), Error> {
     known.validate()?;
     let waveform = decode(path)?;

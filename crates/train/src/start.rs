@@ -36,7 +36,7 @@ impl Start {
     /// The checkpoint, or the best checkpoint of the run, in `path`; `None` if the path is empty.
     ///
     /// # Errors
-    /// If it is missing, damaged, or of another system.
+    /// If the checkpoint is missing, damaged, or of another system.
     pub fn named(
         key: &'static str,
         path: &Path,
@@ -67,12 +67,12 @@ impl Start {
         load(&self.saved).map_err(|error| self.refused(&error))
     }
 
-    /// The tables `names` of its config, with every key.
+    /// The tables `names` of the checkpoint's config, with every key.
     pub fn tables(&self, names: &[&str]) -> Table {
         tables_of(&self.saved.state.config, names)
     }
 
-    /// The error of an unusable checkpoint.
+    /// The error for an unusable checkpoint.
     pub fn refused(&self, reason: &dyn Display) -> Error {
         refused(self.key, &self.saved.path, reason)
     }
@@ -87,7 +87,8 @@ fn refused(key: &str, path: &Path, reason: &dyn Display) -> Error {
     )
 }
 
-/// The tables `names` of the `saved` config of a resumed run, or of the checkpoint `init.diffusion`.
+/// The tables `names` of the `saved` config of a resumed run, or of the checkpoint
+/// `init.diffusion`.
 ///
 /// # Errors
 /// As [`Start::named`].
@@ -97,7 +98,7 @@ pub fn inherited(
     names: &[&str],
     system: &dyn System,
 ) -> Result<Option<Table>, Error> {
-    // A resumed run does not need its start any more.
+    // A resumed run does not need its initial checkpoint.
     if let Some(saved) = saved {
         return Ok(Some(tables_of(saved, names)));
     }
@@ -112,7 +113,7 @@ pub fn tables_of(config: &Config, names: &[&str]) -> Table {
     tables.collect()
 }
 
-/// Rejects a config whose tables `names` (networks or process) differ from those of its start.
+/// Rejects a config whose tables `names` (networks or process) differ from those of the checkpoint.
 ///
 /// # Errors
 /// Names the first key that differs.

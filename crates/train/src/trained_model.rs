@@ -11,7 +11,7 @@ use std::path::Path;
 /// A checkpoint to sample or evaluate, and its device.
 #[derive(Clone, Debug)]
 pub struct TrainedModel {
-    /// The checkpoint, whose config has its system's tables and the overrides applied.
+    /// The checkpoint; its config contains the system's tables and the overrides.
     pub saved: SavedCheckpoint,
     /// The trained weights, or their moving average.
     pub weights: Weights,

@@ -53,7 +53,7 @@ pub struct Trainer<R: Recipe> {
     /// `None` only during an update.
     model: Option<R::Model>,
     infos: Vec<ParameterInfo>,
-    /// Optimiser group of each parameter.
+    /// Optimizer group of each parameter.
     groups: Vec<usize>,
     states: States,
     /// The exchange between ranks; borrowed during a step.
@@ -72,7 +72,7 @@ pub struct Trainer<R: Recipe> {
 pub struct TrainerParts<R: Recipe> {
     /// The recipe.
     pub recipe: R,
-    /// Names of its optimiser groups.
+    /// Names of its optimizer groups.
     pub groups: &'static [&'static str],
     /// The resolved config.
     pub config: Config,
@@ -82,7 +82,7 @@ pub struct TrainerParts<R: Recipe> {
     pub network_statistics: Option<Statistics>,
     /// Autodiff device.
     pub device: Device,
-    /// True if it computes in main memory.
+    /// True if the device computes in main memory.
     pub on_host: bool,
     /// The batches from the next step on.
     pub loader: Loader,
@@ -90,12 +90,13 @@ pub struct TrainerParts<R: Recipe> {
     pub dataset: Digest,
     /// The run's folder.
     pub folder: PathBuf,
-    /// The processes that train the run; the first writes.
+    /// The processes that train the run; the first process writes.
     pub group: Rc<ProcessGroup>,
 }
 
 impl<R: Recipe> Trainer<R> {
-    /// A trainer of `model` at step 0 or at the step of `checkpoint`, whose weights it has.
+    /// A trainer of `model` at step 0 or at the step of `checkpoint`, from which `model` was
+    /// loaded.
     pub fn new(
         parts: TrainerParts<R>,
         model: R::Model,
@@ -150,7 +151,8 @@ impl<R: Recipe> Trainer<R> {
         let max_steps = self.parts.config.train.max_steps;
         let validates = self.parts.config.validation.every_steps > 0;
         if self.step == 0 && validates && self.parts.recipe.measures_first() {
-            // Training may worsen the initial weights. A run stopped here measures them again.
+            // Training may worsen the initial weights. A run stopped here measures the initial
+            // weights again.
             self.progress = Progress::default();
             if self.validate(observer)? {
                 self.save_unless_saved(observer)?;
@@ -162,7 +164,7 @@ impl<R: Recipe> Trainer<R> {
             }
         }
         if self.previews_are_due() {
-            // A process that ended at this step may not have written them.
+            // A process that ended at this step may not have written the previews.
             let exist = preview_page(&self.parts.folder, self.step).exists();
             self.preview(exist, observer)?;
         }
@@ -210,7 +212,7 @@ impl<R: Recipe> Trainer<R> {
         Ok(ending)
     }
 
-    /// Writes the measurements of a step if due.
+    /// Writes metrics and loading statistics if due.
     fn write(&mut self, record: &Record) -> Result<(), Error> {
         let train = &self.parts.config.train;
         let due = self.step.is_multiple_of(train.log_every_steps) || self.step == train.max_steps;
@@ -228,7 +230,7 @@ impl<R: Recipe> Trainer<R> {
         self.save(observer)
     }
 
-    /// True if an event with this interval, which also happens at the last step, is due.
+    /// True if an event with this interval is due; every event is due at the last step.
     fn is_due(&self, every: u64) -> bool {
         let last = self.step == self.parts.config.train.max_steps;
         every > 0 && (self.step.is_multiple_of(every) || last)
@@ -347,7 +349,7 @@ impl<R: Recipe> Trainer<R> {
         let own = measured.as_ref().map_or([f64::NAN; 2], numbers);
         let agreed = self.parts.group.agree(measured.map(Some), &own)?;
         let ((_, score), all) = agreed.expect("no rank stops here");
-        // The first rank's measurement applies to all ranks, so that they decide alike.
+        // The first rank's measurement applies to all ranks, so that all ranks decide alike.
         let (val_loss, score) = (all[0][0], score.map(|_| all[0][1]));
         let best = match score {
             Some(score) => score < self.progress.best_score.unwrap_or(f64::INFINITY),

@@ -1,6 +1,6 @@
 use super::simd::{exp, sigmoid};
 
-/// Activation after a normalisation.
+/// Activation after a normalization.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Activation {
     /// The identity.
@@ -12,7 +12,7 @@ pub enum Activation {
     Mish,
 }
 
-/// An [`Activation`] as a type, so that loops are specialised for it.
+/// An [`Activation`] as a type, so that loops are specialized for each activation.
 pub(crate) trait Pointwise: Copy + Send + Sync {
     fn value(self, x: f32) -> f32;
     fn derivative(self, x: f32) -> f32;

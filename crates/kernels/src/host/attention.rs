@@ -1,6 +1,6 @@
 //! Scaled dot-product attention without a stored score matrix.
 //!
-//! A buffer contains the scores of one head; the backward pass recomputes them from queries and
+//! A buffer contains the scores of one head; the backward pass recomputes scores from queries and
 //! keys. The scores of some hundred frames fit in cache. Queries of longer sequences are processed
 //! in parts, so that memory is linear in the length.
 
@@ -66,11 +66,11 @@ pub(crate) struct Columns<'a> {
     pub first: usize,
 }
 
-/// Most scores in memory per thread: those of a thousand frames. Lower in tests, so that they use
-/// parts too.
+/// Maximum number of scores in memory per thread: those of a thousand frames. Tests set it lower to
+/// use parts too.
 const MOST_SCORES: usize = if cfg!(test) { 256 } else { 1 << 20 };
 
-/// Fewest queries of a part with narrow ranges.
+/// Minimum number of queries of a part with narrow ranges.
 const SHORTEST_PART: usize = if cfg!(test) { 2 } else { 32 };
 
 /// Buffers of a thread.
@@ -385,7 +385,7 @@ fn dense(data: &[f32], columns: usize) -> Matrix<'_> {
     }
 }
 
-/// Parallel partial results, for vectorisation.
+/// Parallel partial results, for vectorization.
 const LANES: usize = 16;
 
 #[inline(always)]

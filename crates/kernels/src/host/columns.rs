@@ -1,4 +1,4 @@
-//! Transposes lines of a weight, because products load neighbouring columns.
+//! Transposes lines of a weight, because products load neighboring columns.
 
 #[cfg(target_arch = "x86_64")]
 use super::simd::fetch;
@@ -6,8 +6,8 @@ use super::simd::fetch;
 /// Lines transposed at once: their writes fill a cache line.
 pub(crate) const LINES: usize = 16;
 
-/// Transposes lines of equal length: `panel[c stride + i] = lines[i][c]`. It prefetches `next`, the
-/// lines after these: waiting for weights took two thirds of the time.
+/// Transposes lines of equal length: `panel[c stride + i] = lines[i][c]`. Prefetches `next`, the
+/// following lines, because waiting for weights took two thirds of the time.
 ///
 /// # Panics
 /// Panics if a line is shorter than the first, or the panel too short.
@@ -37,7 +37,7 @@ fn turn_blocks(lines: [&[f32]; LINES], stride: usize, panel: &mut [f32], next: &
         return 0;
     };
     let blocks = lines[0].len() / avx::SIDE;
-    // Of equal length, so that no access below is checked.
+    // The slices have equal lengths, so that no access below is checked.
     let lines = lines.map(|line| &line.as_chunks::<{ avx::SIDE }>().0[..blocks]);
     simd.vectorize(
         #[inline(always)]
@@ -67,7 +67,7 @@ mod avx {
     /// Lines and columns of a block.
     pub const SIDE: usize = 8;
 
-    /// Transposes a block in registers: pairs of neighbours, then pairs of pairs, then halves.
+    /// Transposes a block in registers: pairs of neighbors, then pairs of pairs, then halves.
     #[inline(always)]
     pub fn turn(simd: V3, lines: [&[f32; SIDE]; SIDE], stride: usize, panel: &mut [f32]) {
         const FIRST_PAIRS: i32 = 0b01_00_01_00;

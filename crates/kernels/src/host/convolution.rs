@@ -1,7 +1,7 @@
 //! Convolution over time: output, input gradient and weight gradient.
 //!
 //! Inputs are first written into zero-padded rows: copied, repeated (nearest upsampling) or
-//! normalised. The backward pass recomputes these rows, which is cheaper than storing them.
+//! normalized. The backward pass recomputes these rows, which is cheaper than storing them.
 
 use std::borrow::Cow;
 use std::mem::MaybeUninit;
@@ -27,25 +27,25 @@ pub struct ConvolutionPlan {
     pub transposed: bool,
     /// Repeats every input frame twice, then keeps this many frames.
     pub upsample: Option<usize>,
-    /// Normalises the input. Excludes `upsample`.
+    /// Normalizes the input. Excludes `upsample`.
     pub norm: Option<GroupNormPlan>,
 }
 
-/// A convolution's input and the tensors of its normalisation.
+/// A convolution's input and the tensors of its normalization.
 #[derive(Clone, Copy)]
 pub struct Input<'a> {
     /// Input frames.
     pub x: Rows<'a>,
-    /// The normalisation, if the plan has one.
+    /// The normalization, if the plan has one.
     pub norm: Option<Norm<'a>>,
-    /// Valid frames of each sample, also of the normalisation; the others are zeros.
+    /// Valid frames of each sample, also of the normalization; other frames are zeros.
     pub lengths: Option<&'a [usize]>,
 }
 
 /// The gradients to compute.
 #[derive(Clone, Copy, Debug)]
 pub struct Wanted {
-    /// Of the input and the normalisation's parameters.
+    /// Gradients of input and normalization parameters.
     pub input: bool,
     /// Of the weight.
     pub weight: bool,
@@ -61,7 +61,7 @@ pub struct ConvolutionGradients {
     pub weight: Option<Vec<f32>>,
     /// `[out]`.
     pub bias: Option<Vec<f32>>,
-    /// Of the normalisation's parameters.
+    /// Of the normalization's parameters.
     pub norm: Option<NormGradients>,
 }
 
@@ -76,7 +76,7 @@ struct Source<'a> {
 }
 
 impl ConvolutionPlan {
-    /// Frames of `time` input frames after upsampling.
+    /// Number of frames after upsampling `time` input frames.
     fn source_frames(&self, time: usize) -> usize {
         self.upsample.unwrap_or(time)
     }
@@ -96,7 +96,7 @@ impl ConvolutionPlan {
         weight[usize::from(self.transposed)]
     }
 
-    /// The prepared input, with zero rows around it where `phases` reach beyond its ends.
+    /// The prepared input, with zero rows where `phases` reach beyond the input's ends.
     fn prepare<'a>(&self, input: Input<'a>, phases: &[Phase]) -> Source<'a> {
         let x = input.x;
         let frames = self.source_frames(x.time);
@@ -112,7 +112,7 @@ impl ConvolutionPlan {
         if (self.upsample, self.norm, input.lengths) == (None, None, None) {
             return Source::pad(x, phases);
         }
-        // SAFETY: a normalisation and a copy write every element of every row.
+        // SAFETY: a normalization and a copy write every element of every row.
         #[allow(unsafe_code)]
         unsafe {
             Source::written_by(
@@ -129,7 +129,7 @@ impl ConvolutionPlan {
         }
     }
 
-    /// `[batch, frames, out]` of the input, plus `addends`.
+    /// The convolution of the input plus `addends`, `[batch, frames, out]`.
     pub(crate) fn forward(
         &self,
         input: Input<'_>,
@@ -168,7 +168,7 @@ impl ConvolutionPlan {
             bias: wanted.bias.then(|| column_sums(gradient)),
             norm: None,
         };
-        // The side with fewer frames provides single rows, the other windows.
+        // The side with fewer frames provides single rows, the other side provides windows.
         let phases = self.geometry.phases(self.transposed, frames);
         let padded_gradient = Source::pad(gradient, &phases);
         if wanted.weight {
@@ -205,7 +205,7 @@ impl ConvolutionPlan {
 }
 
 impl<'a> Source<'a> {
-    /// Rows written by `write`, with `before` and `after` zero rows around those of each sample.
+    /// Rows written by `write`, with `before` and `after` zero rows around each sample's rows.
     ///
     /// # Safety
     /// `write` must write every element of the rows.
@@ -226,8 +226,8 @@ impl<'a> Source<'a> {
         }
     }
 
-    /// `rows` with zeros around them where `phases` reach beyond their ends, and without gaps if
-    /// windows span several rows.
+    /// `rows` with zeros where `phases` reach beyond the rows' ends, and without gaps if windows
+    /// span several rows.
     fn pad(rows: Rows<'a>, phases: &[Phase]) -> Self {
         let margins = margins(phases, rows.time);
         let single = phases.iter().all(|phase| phase.taps.len() <= 1);
@@ -339,7 +339,7 @@ fn multiply_phases(
     }
 }
 
-/// Copies row `from(t)` to each row t below the sample's length and writes zeros to the others.
+/// Copies row `from(t)` to each row t below the sample's length and writes zeros to other rows.
 fn copy(
     x: Rows<'_>,
     frames: usize,

@@ -4,7 +4,7 @@ use super::team;
 /// Elements of a task.
 const CHUNK: usize = 1 << 13;
 
-/// `erf(x)` to within 4e-7: a rational function on [-4, 4]; beyond, it is 1 in single precision.
+/// `erf(x)` to within 4e-7: a rational function on [-4, 4], and the sign of x elsewhere.
 #[inline(always)]
 fn erf(x: f32) -> f32 {
     let x = if x.is_nan() { x } else { x.clamp(-4.0, 4.0) };

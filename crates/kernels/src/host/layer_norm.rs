@@ -1,19 +1,19 @@
-//! Layer normalisation of rows, in one forward and one backward pass.
+//! Layer normalization of rows, in one forward and one backward pass.
 
 use super::simd::vectorized;
 use super::team;
 
-/// Approximate elements of a chunk. The chunks, and so the sums over rows, do not depend on the
-/// number of threads.
+/// Approximate number of elements per chunk. Chunks, and so the sums over rows, do not depend on
+/// the number of threads.
 const CHUNK: usize = 1 << 13;
 
-/// Fewest rows of a chunk, because each chunk has its own sums over them.
+/// Minimum number of rows per chunk, because each chunk has its own sums.
 const LEAST_ROWS: usize = 8;
 
-/// Parallel partial sums, for vectorisation.
+/// Parallel partial sums, for vectorization.
 const LANES: usize = 16;
 
-/// Rows `[rows, features]` and their normalisation.
+/// Rows `[rows, features]` and their normalization.
 #[derive(Clone, Copy)]
 pub(crate) struct LayerNormRows<'a> {
     /// The rows, without gaps.
@@ -62,9 +62,9 @@ impl LayerNormRows<'_> {
         y
     }
 
-    /// The gradients of the rows, scales and shifts, from that of the output.
+    /// The gradients of the rows, scales and shifts, from the gradient of the output.
     ///
-    /// With `n` the normalised values and `d` the output's gradient times the weight:
+    /// With `n` the normalized values and `d` the output's gradient times the weight:
     /// `dx = (d - mean(d) - n mean(d n)) / sqrt(variance + eps)`.
     pub fn backward(&self, gradient: &[f32]) -> [Vec<f32>; 3] {
         let (features, chunk) = (self.features(), self.chunk());
@@ -112,7 +112,7 @@ impl LayerNormRows<'_> {
         [weight_sums, bias_sums]: [&mut [f32]; 2],
     ) {
         let [mean, reciprocal] = moments(x, self.eps);
-        // `dx` contains the normalised values until the last loop.
+        // `dx` contains the normalized values until the last loop.
         let sums = weight_sums.iter_mut().zip(bias_sums);
         for (((dx, x), gradient), (weight, bias)) in dx.iter_mut().zip(x).zip(gradient).zip(sums) {
             let normalized = (x - mean) * reciprocal;
@@ -141,7 +141,7 @@ impl LayerNormRows<'_> {
     }
 }
 
-/// Mean and reciprocal deviation of a row, in two passes, so that a large mean costs few digits.
+/// Mean and reciprocal deviation of a row, in two passes, so that a large mean loses few digits.
 #[inline(always)]
 fn moments(x: &[f32], eps: f64) -> [f32; 2] {
     let count = x.len() as f32;
@@ -184,7 +184,7 @@ fn total(mut lanes: [f32; LANES]) -> f32 {
 mod tests {
     use super::*;
 
-    /// By the definition, in double precision: output, and gradients of rows, scales and shifts.
+    /// The definition in double precision: output, and gradients of rows, scales and shifts.
     fn expected(
         x: &[f32],
         weight: &[f32],

@@ -1,7 +1,7 @@
 //! Products of few windows with many weights.
 //!
-//! Packing the weights would cost as much as the product. Here the windows are packed instead, and
-//! the weights are read once, in place.
+//! Packing the weights would cost as much as the product. This algorithm packs the windows instead
+//! and reads the weights once, in place.
 
 use pulp::{Arch, Simd, WithSimd};
 
@@ -9,13 +9,13 @@ use super::packing::turn_windows;
 use super::product::{Addends, OutputRows, TILE_ROWS, WIDEST, Windows, panel_size, tile, vectors};
 use super::team;
 
-/// Most windows of several taps for which this algorithm can be faster.
+/// Maximum number of windows of several taps for which this algorithm can be faster.
 const MOST_ROWS: usize = 32;
 
-/// Most windows of one tap, whose weights are quick to pack.
+/// Maximum number of windows of one tap, for which weights are quick to pack.
 const MOST_ROWS_OF_ONE_TAP: usize = 16;
 
-/// Fewest output channels of a task.
+/// Minimum number of output channels of a task.
 const LEAST_CHANNELS: usize = 4 * TILE_ROWS;
 
 /// True if a product has few windows of few taps relative to its output channels.
@@ -42,7 +42,7 @@ pub(crate) fn multiply_narrow(
     let total = windows.len();
     let groups = total.div_ceil(lanes);
     let depth = inner * kernel;
-    // Vector g of depth d: windows g lanes.. of the weight's element d.
+    // Vector g of depth d contains element d of `lanes` windows, from window `g lanes` on.
     let mut panels = vec![0.0; groups * depth * lanes];
     let parts = panels
         .chunks_mut(most * depth * lanes)
@@ -112,7 +112,7 @@ impl RunTask<'_> {
         let panel = pulp::as_arrays::<NR, _>(S::as_simd_f32s(panel).0).0;
         let rows = first..self.windows.len().min(first + width);
         for channel in self.channels.clone().step_by(TILE_ROWS) {
-            // Channels beyond the last repeat it and are not written.
+            // Channels beyond the last repeat the last channel and are not written.
             let last = self.channels.end - 1;
             let weights: [&[f32]; TILE_ROWS] = std::array::from_fn(|i| {
                 &self.weight[(channel + i).min(last) * self.depth..][..self.depth]

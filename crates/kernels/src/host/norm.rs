@@ -1,4 +1,4 @@
-//! Group normalisation with FiLM and an activation: `activation(scale (x - mean) + shift)`, with
+//! Group normalization with FiLM and an activation: `activation(scale (x - mean) + shift)`, with
 //! one affine map per channel and sample.
 
 use std::mem::MaybeUninit;
@@ -9,7 +9,7 @@ use super::simd::vectorized;
 use super::team;
 use crate::lengths::frames_of;
 
-/// The settings of a group normalisation.
+/// The settings of a group normalization.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GroupNormPlan {
     /// Number of groups.
@@ -20,12 +20,12 @@ pub struct GroupNormPlan {
     pub activation: Activation,
 }
 
-/// A group normalisation of one input, its parameters in the order of their application.
+/// A group normalization of one input, with parameters in the order of their application.
 #[derive(Clone, Copy)]
 pub struct Norm<'a> {
     /// Groups, eps and activation.
     pub plan: GroupNormPlan,
-    /// Of the input.
+    /// The statistics of the input.
     pub statistics: &'a Statistics,
     /// Scale of each channel.
     pub weight: &'a [f32],
@@ -36,7 +36,7 @@ pub struct Norm<'a> {
     pub film: Option<&'a [f32]>,
     /// Factor of each element after the activation.
     pub mask: Option<Rows<'a>>,
-    /// Valid frames of each sample; the others become zeros.
+    /// Valid frames of each sample; other frames become zeros.
     pub lengths: Option<&'a [usize]>,
 }
 
@@ -44,7 +44,7 @@ pub struct Norm<'a> {
 #[derive(Clone, Debug)]
 pub struct Statistics(Vec<[f32; 2]>);
 
-/// Gradients of a normalisation's parameters.
+/// Gradients of a normalization's parameters.
 pub struct NormGradients {
     /// Of the scales.
     pub weight: Vec<f32>,
@@ -62,8 +62,8 @@ struct Affine {
     mean: Vec<f32>,
 }
 
-/// The statistics of every sample's groups over its valid frames, in two passes, so that a large
-/// mean costs no digits.
+/// The statistics of every sample's groups over valid frames, in two passes, so that a large mean
+/// loses no digits.
 pub fn statistics(x: Rows<'_>, plan: &GroupNormPlan, lengths: Option<&[usize]>) -> Statistics {
     let size = x.channels / plan.groups;
     let tasks = column_tasks(x.batch, x.channels, size);
@@ -92,7 +92,7 @@ pub fn statistics(x: Rows<'_>, plan: &GroupNormPlan, lengths: Option<&[usize]>) 
     Statistics(parts.concat())
 }
 
-/// Adds to `sums` a task's channels over time, or their squared distances from `means`.
+/// Adds a task's channels, or their squared distances from `means`, over time to `sums`.
 fn channel_sums(x: Rows<'_>, task: ColumnTask, sums: &mut [f32], means: Option<&[f32]>) {
     vectorized(
         #[inline(always)]
@@ -145,7 +145,7 @@ fn film(sample: usize, channel: usize, channels: usize, film: Option<&[f32]>) ->
     }
 }
 
-/// Writes every element of the normalised rows to `output`.
+/// Writes every element of the normalized rows to `output`.
 pub(crate) fn forward(x: Rows<'_>, norm: &Norm<'_>, output: SharedRows<'_, MaybeUninit<f32>>) {
     let tasks = column_tasks(x.batch, x.channels, x.channels / norm.plan.groups);
     team::for_each(tasks.len(), |task| {
@@ -205,9 +205,10 @@ fn forward_task(
     }
 }
 
-/// Replaces the dense `gradient` of the output by that of `x`, and returns those of the parameters.
+/// Replaces the dense `gradient` of the output with the gradient of `x`, and returns the
+/// parameters' gradients.
 ///
-/// With `u` the affine part and `n` the normalised values, the sums `s1 = sum du` and `s2 = sum du
+/// With `u` the affine part and `n` the normalized values, the sums `s1 = sum du` and `s2 = sum du
 /// n` over a channel's time give the parameters' gradients. Their sums over a group give the two
 /// means that are subtracted from the input's gradient.
 pub(crate) fn backward(x: Rows<'_>, norm: &Norm<'_>, gradient: &mut [f32]) -> NormGradients {
@@ -292,7 +293,7 @@ fn backward_activation(
     [sums, products]
 }
 
-/// Backward through FiLM, scale and normalisation: the gradient of `u` becomes that of `x`. Returns
+/// Backward through FiLM, scale and normalization: the gradient of `u` becomes that of `x`. Returns
 /// `s1` and `s2` of each channel.
 fn backward_affine(
     x: Rows<'_>,

@@ -12,7 +12,7 @@ use super::team;
 /// Rows of a pass, so that both sides stay in first-level cache.
 const PASS: usize = 128;
 
-/// Most sums of a task, so that they fit a second-level cache.
+/// Maximum number of sums of a task, which then fit a second-level cache.
 const LARGEST_PART: usize = 1 << 19;
 
 /// `[a, c, k] = sum over rows of lhs[a] window[k, c]`, for one row of `lhs` per window, and windows
@@ -22,7 +22,7 @@ const LARGEST_PART: usize = 1 << 19;
 pub(crate) fn outer(lhs: Rows<'_>, windows: Windows<'_>, taps: usize) -> Vec<f32> {
     let depth = windows.depth;
     let len = lhs.channels * depth;
-    // Not zeroed: weight gradients are most of the memory that a step writes.
+    // The buffer is not zeroed, because weight gradients are most of the memory that a step writes.
     let mut gradient = Vec::with_capacity(len);
     assert_eq!((lhs.batch, lhs.time), (windows.batch, windows.rows), "rows");
     assert!(
@@ -32,7 +32,7 @@ pub(crate) fn outer(lhs: Rows<'_>, windows: Windows<'_>, taps: usize) -> Vec<f32
     if windows.len() == 0 || len == 0 {
         return vec![0.0; len];
     }
-    // As few parts as occupy all threads, because each packs the windows.
+    // The parts are the fewest that occupy all threads, because each part packs the windows.
     let most = (LARGEST_PART / depth.max(1)).max(TILE_ROWS) / TILE_ROWS * TILE_ROWS;
     let part = lhs
         .channels
@@ -58,7 +58,7 @@ pub(crate) fn outer(lhs: Rows<'_>, windows: Windows<'_>, taps: usize) -> Vec<f32
         },
     );
     // SAFETY: the parts cover the first `len` elements, and `RunPart` writes every element of its
-    // part; a panic in one would not have come here.
+    // part; a panic in a part would not reach this line.
     #[allow(unsafe_code)]
     unsafe {
         gradient.set_len(len);
@@ -176,7 +176,7 @@ fn add_products<S: Simd, const NR: usize>(
     sums.copy_from_slice(&tile);
 }
 
-/// From `[tap, channel]`, in pieces of `width`, to `[channel, tap]`.
+/// Reorders `[tap, channel]`, in pieces of `width`, to `[channel, tap]`.
 #[inline(always)]
 fn interleave<'a, const K: usize>(
     piece: impl Fn(usize) -> &'a [f32],

@@ -1,4 +1,4 @@
-//! Weights that stay packed from product to product.
+//! Packed weights that products reuse.
 //!
 //! With few rows, packing a weight takes about as long as multiplying it. A sampler that calls a
 //! small network repeatedly reuses the packed weights.
@@ -14,8 +14,8 @@ use super::product::panel_width;
 /// Above this number of rows, packing is cheap relative to the product.
 const FEW_ROWS: usize = 64;
 
-/// Most elements stored (16 MiB). Packing a weight that exceeds the processor's cache costs no more
-/// than reading it.
+/// Maximum number of stored elements (16 MiB). Packing a weight that exceeds the processor's cache
+/// costs no more than reading the weight.
 const MAX_ELEMENTS: usize = 4 << 20;
 
 thread_local! {
@@ -24,7 +24,7 @@ thread_local! {
 
 #[derive(Default)]
 struct Cache {
-    /// By a weight's address, which its owner fixes, and its shape.
+    /// Weights by address, which the owner fixes, and shape.
     weights: HashMap<(usize, [usize; 3]), CachedWeight>,
     elements: usize,
 }
@@ -34,8 +34,8 @@ struct CachedWeight {
     panels: Option<Arc<Vec<f32>>>,
 }
 
-/// Runs `work` on this thread. Products of few rows reuse the weights packed within it, up to 16
-/// MiB. The results are identical.
+/// Runs `work` on this thread. Products of few rows in `work` reuse packed weights, up to 16 MiB.
+/// The cache does not change results.
 pub fn cache_packed_weights<R>(work: impl FnOnce() -> R) -> R {
     struct Outermost;
     impl Drop for Outermost {
@@ -53,7 +53,8 @@ pub fn cache_packed_weights<R>(work: impl FnOnce() -> R) -> R {
     work()
 }
 
-/// Allows a weight of this shape to be cached. The stored owner keeps its address and values fixed.
+/// Allows a weight of this shape to be cached. The stored owner fixes the weight's address and
+/// values.
 pub(crate) fn allow<T: Any>(weight: &[f32], shape: [usize; 3], owner: impl FnOnce() -> T) {
     CACHE.with_borrow_mut(|cache| {
         let Some(cache) = cache else { return };
@@ -71,7 +72,8 @@ pub(crate) fn allow<T: Any>(weight: &[f32], shape: [usize; 3], owner: impl FnOnc
     });
 }
 
-/// The cached panels of a weight for a product of `rows` rows; `None` if it may not be cached.
+/// The cached panels of a weight for a product of `rows` rows; `None` if the weight may not be
+/// cached.
 pub(super) fn panels(weight: &Weight<'_>, rows: usize) -> Option<Arc<Vec<f32>>> {
     if rows > FEW_ROWS || !weight.gathers() {
         return None;

@@ -161,7 +161,7 @@ fn turn<const K: usize, const N: usize>(
 }
 
 /// Writes windows `[kernel, inner]` as columns in the order of a weight:
-/// `panel[(c kernel + k) width + i] = windows[i][k inner + c]`. Other columns are left as they are.
+/// `panel[(c kernel + k) width + i] = windows[i][k inner + c]`. Other columns do not change.
 pub(crate) fn turn_windows(
     windows: &[&[f32]],
     [inner, kernel]: [usize; 2],

@@ -15,7 +15,7 @@ use super::team;
 /// Rows of a tile: six rows of four vectors are 24 sums in registers.
 pub(crate) const TILE_ROWS: usize = 6;
 
-/// Fewest rows of a task.
+/// Minimum number of rows of a task.
 const LEAST_ROWS: usize = 24;
 
 /// Windows of equal depth at equal distances in each sample.
@@ -112,7 +112,7 @@ pub(crate) fn panel_width() -> usize {
     panel_size().into_iter().product()
 }
 
-/// Vectors of a panel on this processor, and elements of a vector.
+/// Number of vectors of a panel on this processor, and number of elements of a vector.
 pub(crate) fn panel_size() -> [usize; 2] {
     struct PanelSize;
     impl WithSimd for PanelSize {
@@ -152,7 +152,7 @@ impl<W: TileWork> WithSimd for Dispatched<W> {
     }
 }
 
-/// Vectors of a tile's row, which leave registers for the operands.
+/// Number of vectors of a tile's row, which leaves registers for the operands.
 #[inline(always)]
 pub(crate) const fn vectors<S: Simd>() -> usize {
     if S::REGISTER_COUNT >= 32 { 4 } else { 2 }
@@ -191,7 +191,7 @@ impl TileWork for RunPanel<'_, '_> {
         };
         let panel = pulp::as_arrays::<NR, _>(S::as_simd_f32s(panel).0).0;
         for first in task.rows.clone().step_by(TILE_ROWS) {
-            // Rows beyond the last repeat it and are not written.
+            // Rows beyond the last repeat the last row and are not written.
             let last = task.rows.end - 1;
             let rows: [&[f32]; TILE_ROWS] =
                 std::array::from_fn(|i| task.windows.at((first + i).min(last)));
@@ -274,7 +274,7 @@ pub(crate) fn tile<S: Simd, const NR: usize>(
     rows: [&[f32]; TILE_ROWS],
     panel: &[[S::f32s; NR]],
 ) -> [[S::f32s; NR]; TILE_ROWS] {
-    // Of equal length, so that no access below is checked.
+    // The slices have equal lengths, so that no access below is checked.
     let rows = rows.map(|row| &row[..panel.len()]);
     let mut sums = [[simd.splat_f32s(0.0); NR]; TILE_ROWS];
     for (depth, vectors) in panel.iter().enumerate() {

@@ -70,8 +70,8 @@ impl GruPlan {
         (states, gates)
     }
 
-    /// The gradients of inputs, weight, bias and initial state from that of all states, `[time,
-    /// batch, width]`, with the states and gates of [`forward`](Self::forward).
+    /// The gradients of inputs, weight, bias and initial state, from the gradient of all states,
+    /// `[time, batch, width]`, and the states and gates of [`forward`](Self::forward).
     pub fn backward(
         &self,
         values: &GruValues<'_>,
@@ -314,8 +314,8 @@ impl TileWork for BackwardBlock<'_> {
 }
 
 impl BackwardBlock<'_> {
-    /// The gradients of one sequence's gates in a step; `slopes` gets those of the state's part,
-    /// and `carry` keeps the part that bypasses the gates.
+    /// The gradients of one sequence's gates in a step; `slopes` gets the gradients of the state's
+    /// part, and `carry` keeps the part that bypasses the gates.
     #[inline(always)]
     fn step(&mut self, step: usize, i: usize, slopes: &mut [f32]) {
         let width = self.plan.width;

@@ -75,7 +75,7 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// Rows written by several threads, each its own columns or rows.
+/// Rows that several threads write, each thread its own columns or rows.
 pub(crate) struct SharedRows<'a, T = f32> {
     data: *mut T,
     len: usize,
@@ -155,8 +155,8 @@ pub(crate) unsafe fn rows_written_by(
     unsafe { padded_rows_written_by(shape, 0, 0, write) }
 }
 
-/// [`rows_written_by`] with zero rows before and after each sample's, for windows across its ends:
-/// `[batch, before + time + after, channels]`.
+/// [`rows_written_by`] with zero rows before and after each sample, for windows across the sample's
+/// ends: `[batch, before + time + after, channels]`.
 ///
 /// # Safety
 /// `write` must write every element of its rows.
@@ -185,15 +185,15 @@ pub(crate) unsafe fn padded_rows_written_by(
         stride,
         channels,
     ));
-    // SAFETY: the zero rows are written above, the others by the caller's promise.
+    // SAFETY: the zero rows are written above, the other rows by the caller's promise.
     unsafe {
         data.set_len(len);
     }
     data
 }
 
-/// Divides `[batch, channels]` into tasks of one sample, or, with few samples, of some of its
-/// channels. The channels of a task are a multiple of `unit`.
+/// Divides `[batch, channels]` into tasks of one sample or, with few samples, of some channels of
+/// one sample. The channels of a task are a multiple of `unit`.
 pub(crate) fn column_tasks(batch: usize, channels: usize, unit: usize) -> Vec<ColumnTask> {
     /// A part narrower than this does not fill vector registers.
     const LEAST: usize = 32;

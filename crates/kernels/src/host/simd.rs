@@ -1,10 +1,10 @@
-//! Run-time choice of the instruction set, prefetching, and a vectorisable exponential.
+//! Run-time choice of the instruction set, prefetching, and a vectorizable exponential.
 
 use pulp::Arch;
 
 /// Runs `work` compiled for the best instruction set of this processor.
 ///
-/// Functions called by `work` must be inlined to be vectorised.
+/// Functions called by `work` must be inlined to be vectorized.
 #[inline(always)]
 pub(crate) fn vectorized<R>(work: impl FnOnce() -> R) -> R {
     Arch::new().dispatch(work)
@@ -18,7 +18,7 @@ pub(crate) fn fetch(values: &[f32]) {
     const CACHE_LINE: usize = 16;
     for line in values.chunks(CACHE_LINE) {
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: it reads and writes nothing; every x86-64 has the instruction.
+        // SAFETY: the prefetch reads and writes nothing; every x86-64 has the instruction.
         #[allow(unsafe_code)]
         unsafe {
             use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
@@ -29,11 +29,11 @@ pub(crate) fn fetch(values: &[f32]) {
     }
 }
 
-/// `e^x` to within 2 units in the last place, without branches or calls, so that loops vectorise.
-/// It overflows to infinity, underflows gradually to zero and keeps NaN.
+/// `e^x` to within 2 units in the last place, without branches or calls, so that loops vectorize.
+/// The result overflows to infinity, underflows gradually to zero and keeps NaN.
 #[inline(always)]
 pub(crate) fn exp(x: f32) -> f32 {
-    /// Adding it rounds to an integer in the low bits.
+    /// Adding `ROUND` rounds to an integer in the low bits.
     const ROUND: f32 = 12_582_912.0;
     const LN_2_HIGH: f32 = 0.693_145_75;
     const LN_2_LOW: f32 = 1.428_606_8e-6;

@@ -1,8 +1,8 @@
 //! Threads that spin while they wait for the next kernel.
 //!
 //! A training step consists of some thousand short parallel sections. Sleeping and waking would
-//! take longer than many of them, so helpers spin for a moment before they sleep. The number of
-//! threads is Rayon's.
+//! take longer than many sections, so helpers spin for a moment before they sleep. Rayon sets the
+//! number of threads.
 
 use std::cell::UnsafeCell;
 use std::hint::spin_loop;
@@ -11,7 +11,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, TryLockError};
 use std::thread::{self, Thread};
 
-/// Checks for the next section before a helper sleeps: some hundred microseconds.
+/// Number of checks for the next section before a helper sleeps, which take some hundred
+/// microseconds.
 const SPINS: u32 = 4000;
 
 /// The number of a section in the upper half of the state.
@@ -38,8 +39,8 @@ struct Shared {
     panicked: AtomicBool,
 }
 
-// SAFETY: `job` is written only by the holder of the team's lock while the section is closed and
-// no helper inside, and read only by helpers inside an open one; entering and leaving go through
+// SAFETY: only the holder of the team's lock writes `job`, while the section is closed and no
+// helper inside. Only helpers inside an open section read `job`. Entering and leaving go through
 // `state` with acquire and release order.
 #[allow(unsafe_code)]
 unsafe impl Sync for Shared {}
@@ -55,8 +56,8 @@ struct Team {
 }
 
 /// Runs `work(0)` to `work(tasks - 1)` once each, on this thread and the helpers, and returns when
-/// all are done. Inside another section, or while another thread uses the helpers, all run on this
-/// thread.
+/// all are done. Inside another section, or while another thread uses the helpers, all tasks run on
+/// this thread.
 ///
 /// # Panics
 /// Panics if a task does.
@@ -137,7 +138,7 @@ impl Shared {
             tasks,
             helpers,
         };
-        // SAFETY: the caller holds the team's lock, and the section before was closed and empty.
+        // SAFETY: the caller holds the team's lock, and the previous section was closed and empty.
         #[allow(unsafe_code)]
         unsafe {
             *self.job.get() = Some(job);
@@ -245,7 +246,7 @@ fn wait(shared: &Shared, asleep: &AtomicBool, seen: u64) -> u64 {
             spin_loop();
         }
         asleep.store(true, Ordering::SeqCst);
-        // Checked again after the flag is set, so that no section is missed.
+        // The state is checked again after the flag is set, so that no section is missed.
         let state = shared.state.load(Ordering::SeqCst);
         if state >> SECTION == seen || state & OPEN == 0 {
             thread::park();

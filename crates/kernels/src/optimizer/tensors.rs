@@ -1,4 +1,4 @@
-//! The optimiser's step in Burn's operations, for parameters on other devices.
+//! The optimizer's step in Burn's operations, for parameters on other devices.
 
 use burn::tensor::Tensor;
 

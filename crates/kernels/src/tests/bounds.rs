@@ -5,7 +5,7 @@ use super::fused::cases;
 use super::reference::reference_output;
 use crate::Mode;
 
-/// Where numbers are not finite, of output and gradients.
+/// Positions of numbers that are not finite, in output and gradients.
 fn broken(outcome: &Outcome) -> Vec<(&'static str, Vec<usize>)> {
     let places = |values: &[f32]| {
         let indexed = values.iter().enumerate();
@@ -33,8 +33,8 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
 
     /// A value that is not finite reaches all outputs that depend on it, as in the composed
-    /// operations. Excluded are weights and transposed convolutions, where the two multiply it by
-    /// other zeros beyond the ends.
+    /// operations. Weights and transposed convolutions are excluded, because kernels and composed
+    /// operations multiply other zeros beyond the ends.
     #[test]
     fn values_that_are_not_finite_are_passed_on(
         case in cases(),
@@ -68,7 +68,7 @@ proptest! {
         }
     }
 
-    /// A sample's broken input leaves the other samples' outputs as they are, bit for bit.
+    /// NaN in one sample does not change the outputs of other samples, bit for bit.
     #[test]
     fn samples_are_apart(case in cases().prop_filter("two samples", |c| c.batch > 1)) {
         let leaves = case.leaves();

@@ -29,7 +29,7 @@ pub enum Operation {
         kernel: usize,
         stride: usize,
         transposed: bool,
-        /// `Some(true)` keeps twice the frames, `Some(false)` one less.
+        /// `Some(true)` keeps twice the frames, `Some(false)` one frame less.
         upsample: Option<bool>,
         norm: Option<Norm>,
         residual: bool,
@@ -70,11 +70,11 @@ pub struct Case {
     pub inputs: usize,
     pub outputs: usize,
     pub memory: Memory,
-    /// Bit `i`: whether leaf `i` has gradients; with none set all have.
+    /// Bit `i` is set if leaf `i` has gradients; 0 gives all leaves gradients.
     pub tracked: u16,
     /// True if Burn recomputes cheap operations in the backward pass.
     pub checkpointing: bool,
-    /// True if samples are padded, each by another number of frames.
+    /// True if samples are padded, each by a different number of frames.
     pub padded: bool,
     pub seed: u64,
 }
@@ -103,7 +103,7 @@ impl Case {
         }
     }
 
-    /// True if a normalisation's groups have so few elements that the gradient is mostly rounding.
+    /// True if a normalization's groups have so few elements that the gradient is mostly rounding.
     pub fn few(&self) -> bool {
         let elements = match self.operation {
             Operation::LayerNorm => self.inputs,
@@ -134,7 +134,8 @@ impl Case {
             .then(|| Lengths::new((0..self.batch).map(of_sample)))
     }
 
-    /// Keys of each query, if they are limited to those near it: about every fifth has none.
+    /// Keys of each query, if queries attend to near keys only: about every fifth query has no
+    /// keys.
     pub fn ranges(&self) -> Option<KeyRanges> {
         let Operation::CrossAttention {
             keys,
@@ -305,7 +306,7 @@ impl Case {
         })
     }
 
-    /// The leaf in the memory that [`present`](Self::present) looks at as the leaf's shape.
+    /// The leaf in the memory that [`present`](Self::present) views in the leaf's shape.
     fn load(&self, leaf: &Leaf, device: &Device) -> Tensor<3> {
         let [batch, channels, time] = leaf.shape;
         let tensor = |values: Vec<f32>, shape: [usize; 3]| {
@@ -444,7 +445,7 @@ impl Case {
     }
 }
 
-/// Half of an odd kernel; 1 of a transposed one of 4 taps.
+/// Half of an odd kernel; 1 for a transposed kernel of 4 taps.
 pub fn padding(kernel: usize) -> usize {
     (kernel - 1) / 2
 }

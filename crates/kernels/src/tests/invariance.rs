@@ -29,7 +29,7 @@ fn is_invariant(shape: [usize; 3], operation: impl Fn(Tensor<3>) -> Tensor<3>) -
 fn a_sample_gets_the_same_bits_in_a_batch() {
     Mode::Fused.scope(|| {
         let weight = random([48, 40, 3], 2);
-        // 12 rows of a sample are few, 60 of the batch are many.
+        // 12 rows of a sample are few rows; 60 rows of the batch are many.
         let convolve = |x| Convolution::new(weight.clone(), 1).forward(x);
         assert_eq!(is_invariant([5, 40, 12], convolve), [true, false]);
         let weight = random([96, 40, 1], 3).reshape([96, 40]);

@@ -1,4 +1,4 @@
-//! Cached packed weights give the same bits and are never those of another weight.
+//! Cached packed weights give the same bits and are never used for another weight.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_random::{Key, Purpose};
@@ -19,7 +19,7 @@ fn convolved(x: &Tensor<3>, weight: &Tensor<3>) -> Vec<u32> {
 #[test]
 fn a_cached_weight_gives_the_same_bits() {
     Mode::Fused.scope(|| {
-        // One tap and three, fewer columns than a panel has and more.
+        // One and three taps, with fewer and more columns than a panel.
         for (kernel, channels) in [(1, 48), (1, 150), (3, 150)] {
             let weight = random([channels, 40, kernel], 2);
             let inputs: Vec<_> = (0..3).map(|i| random([1, 40, 23 + 20 * i], 3)).collect();
@@ -40,7 +40,7 @@ fn a_weight_that_changes_is_another() {
             for _ in 0..4 {
                 let found = convolved(&x, &weight);
                 assert_eq!(found, outside(&x, &weight));
-                // In place, unless the cache shares it.
+                // The weight changes in place, unless the cache shares it.
                 weight = weight.mul_scalar(1.5);
             }
             // The first channels of a weight have its address.

@@ -1,4 +1,4 @@
-//! Samples of a padded batch against each of them alone.
+//! Samples of a padded batch against each sample alone.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_random::{Key, Purpose};
@@ -18,7 +18,8 @@ fn vector(stream: u64) -> Tensor<1> {
     random([1, 1, CHANNELS], stream).reshape([CHANNELS])
 }
 
-/// Asserts that each sample has the same valid frames as alone; `frames` maps their number.
+/// Asserts that each sample has the same valid frames as alone; `frames` maps input frames to
+/// output frames.
 fn agrees(
     channels: usize,
     frames: fn(usize) -> usize,

@@ -14,7 +14,7 @@ struct Case {
     direction: Direction,
     /// From 1 to `time`.
     lengths: Option<Vec<usize>>,
-    /// True for those of inputs, weight, bias and initial state that have gradients.
+    /// True for inputs, weight, bias and initial state with gradients.
     tracked: [bool; 4],
     seed: u64,
 }
@@ -140,7 +140,7 @@ proptest! {
     fn a_sequence_does_not_depend_on_the_others(case in cases()) {
         let of = |case: &Case| case.infer(Mode::Fused);
         let all = of(&case);
-        // Another last sequence's length changes no other sequence.
+        // A different length of the last sequence changes no other sequence.
         let mut lengths = case.lengths.clone().unwrap_or(vec![case.time; case.batch]);
         let last = lengths.last_mut().expect("a sequence");
         *last = 1 + *last % case.time;

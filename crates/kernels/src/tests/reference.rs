@@ -193,7 +193,7 @@ fn erf(x: f64) -> f64 {
     if x.is_nan() || x.abs() > 5.0 {
         return if x.is_nan() { x } else { x.signum() };
     }
-    // The series with terms of one sign; those of the other cancel to a few digits.
+    // This series has terms of one sign; terms of alternating sign would lose most digits.
     let (mut term, mut sum) = (x, x);
     for n in 1..200 {
         term *= 2.0 * x * x / f64::from(2 * n + 1);

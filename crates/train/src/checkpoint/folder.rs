@@ -57,10 +57,11 @@ impl Checkpoints {
         entries.map(name).collect()
     }
 
-    /// The latest valid checkpoint, if there are any; `skipped` is called for each damaged one.
+    /// The latest valid checkpoint, if the run has checkpoints; `skipped` is called for each
+    /// damaged one.
     ///
     /// # Errors
-    /// If all checkpoints are damaged, or one cannot be read.
+    /// If all checkpoints are damaged, or a checkpoint cannot be read.
     pub fn newest_good(
         &self,
         mut skipped: impl FnMut(&Error),
@@ -117,8 +118,8 @@ impl Checkpoints {
         flush_folder(&self.path)
     }
 
-    /// Removes unfinished files, and all checkpoints but the newest `keep_last`, the best one and
-    /// those beyond `current`, which a resumed run has not reached again.
+    /// Removes unfinished files and old checkpoints. Prune keeps the newest `keep_last`, the best,
+    /// and those after `current`, which a resumed run has not reached again.
     pub(crate) fn prune(
         &self,
         current: u64,
@@ -156,7 +157,7 @@ pub fn must_be_free(out: &Path) -> Result<(), Error> {
     }
 }
 
-/// Writes weights without an optimiser as the only checkpoint of the run in `out`.
+/// Writes weights without an optimizer as the only checkpoint of the run in `out`.
 pub fn write_weights(
     out: &Path,
     state: &State,
@@ -189,7 +190,7 @@ impl Unfinished {
     /// Writes the trained weights or their average, in the order of `infos`.
     ///
     /// # Errors
-    /// If they cannot be written.
+    /// If the weights cannot be written.
     pub fn write_weights(
         &mut self,
         weights: Weights,
@@ -203,10 +204,10 @@ impl Unfinished {
         self.write(weights.file(), tensors)
     }
 
-    /// Writes the optimiser's running means, in the order of `infos`.
+    /// Writes the optimizer's running means, in the order of `infos`.
     ///
     /// # Errors
-    /// If they cannot be written.
+    /// If the running means cannot be written.
     pub fn write_moments(
         &mut self,
         infos: &[ParameterInfo],
@@ -238,7 +239,7 @@ impl Unfinished {
     /// Writes the state with checksums and moves the checkpoint into place.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// If a file cannot be written.
     pub fn finish(self, state: &State) -> Result<PathBuf, Error> {
         let state = State {
             checksums: self.checksums.clone(),
@@ -249,7 +250,8 @@ impl Unfinished {
         flush_folder(&self.temporary)?;
         // An unreadable checkpoint must not replace a readable one.
         State::read(&self.temporary)?;
-        // One of the same step is damaged, or from before a fall back to an older one.
+        // An existing checkpoint of this step is damaged, or older than a fallback to an earlier
+        // checkpoint.
         remove(&self.target)?;
         fs::rename(&self.temporary, &self.target).map_err(Error::io("rename", &self.temporary))?;
         flush_folder(self.target.parent().unwrap_or(&self.target))?;
@@ -259,7 +261,7 @@ impl Unfinished {
 
 impl Drop for Unfinished {
     fn drop(&mut self) {
-        // It has been renamed if it is finished.
+        // A finished checkpoint has been renamed.
         let _ = fs::remove_dir_all(&self.temporary);
     }
 }
@@ -271,7 +273,7 @@ fn remove(path: &Path) -> Result<(), Error> {
         return run::remove(path);
     }
     let doomed = path.with_file_name(format!("{UNFINISHED}removed-{name}"));
-    // A kill may have left one of this name.
+    // A killed process may have left a folder of this name.
     run::remove(&doomed)?;
     fs::rename(path, &doomed).map_err(Error::io("remove", path))?;
     run::remove(&doomed)

@@ -34,7 +34,7 @@ pub struct Checkpoint {
     pub model: Vec<HostParameter>,
     /// Their moving average.
     pub ema: Vec<HostParameter>,
-    /// The optimiser's running means, in the order of `model`.
+    /// The optimizer's running means, in the order of `model`.
     pub moments: Vec<Moments>,
 }
 

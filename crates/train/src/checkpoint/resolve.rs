@@ -3,8 +3,8 @@ use std::path::Path;
 use super::{Checkpoints, SavedCheckpoint, Weights};
 use crate::Error;
 
-/// The checkpoint that `path` names: the checkpoint itself, or the best one of a run (the latest valid
-/// one if no best is recorded). `skipped` is called for each damaged one.
+/// The checkpoint `path`, or the best checkpoint of the run `path` (the latest valid checkpoint if
+/// no best step is recorded). `skipped` is called for each damaged checkpoint.
 ///
 /// # Errors
 /// If the path is neither a run nor a checkpoint.

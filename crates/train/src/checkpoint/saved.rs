@@ -19,7 +19,7 @@ impl SavedCheckpoint {
     /// Reads `state.json` of the checkpoint in `path`.
     ///
     /// # Errors
-    /// If it is missing or damaged.
+    /// If the file is missing or damaged.
     pub fn read(path: &Path) -> Result<Self, Error> {
         Ok(Self {
             path: path.to_path_buf(),

@@ -25,7 +25,8 @@ pub struct Progress {
     pub best_step: Option<u64>,
     /// Its loss.
     pub best_val_loss: Option<f64>,
-    /// Its score, lower is better, if `validation.select_by` names a metric of samples.
+    /// Score of the best validation, lower is better, if `validation.select_by` names a metric of
+    /// samples.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub best_score: Option<f64>,
     /// Validations since then.
@@ -35,7 +36,7 @@ pub struct Progress {
 /// `best.json`: the step of the best validation, by `validation.select_by`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Best {
-    /// Its checkpoint is `step-XXXXXXXX`.
+    /// Step of the best validation; its checkpoint is `step-XXXXXXXX`.
     pub step: u64,
     /// Its loss.
     pub val_loss: f64,
@@ -59,14 +60,14 @@ pub struct State {
     pub format: u32,
     /// Version of kinegrad that wrote it.
     pub kinegrad: String,
-    /// Optimiser steps done.
+    /// Optimizer steps done.
     pub step: u64,
     /// The resolved config of the run.
     #[serde(deserialize_with = "config::from_json")]
     pub config: Config,
-    /// Normalisation, clipping and checking bounds of the training phrases.
+    /// Normalization, clipping and checking bounds of the training phrases.
     pub statistics: Statistics,
-    /// The statistics of the networks' channels, if other than `statistics`.
+    /// The statistics of the networks' channels, if different from `statistics`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub network_statistics: Option<Statistics>,
     /// [`Digest`] of the training dataset, in hexadecimal; missing in old checkpoints.
@@ -82,7 +83,7 @@ pub struct State {
 const SEAL: &str = ",\n  \"state_sha256\": \"";
 
 impl State {
-    /// The state of weights that were not trained here.
+    /// The state for weights that were not trained here.
     pub fn untrained(config: Config, statistics: Statistics) -> Self {
         Self {
             format: FORMAT,
@@ -108,7 +109,7 @@ impl State {
         self.network_statistics.as_ref().unwrap_or(&self.statistics)
     }
 
-    /// The statistics, if they are of motion in this `representation`.
+    /// The statistics, if they describe motion in this `representation`.
     ///
     /// # Errors
     /// [`Error::OtherRepresentation`].
@@ -122,7 +123,7 @@ impl State {
         }
     }
 
-    /// [`statistics_of`](Self::statistics_of) the clips of the run's config.
+    /// The statistics, if they describe clips of the run's config.
     ///
     /// # Errors
     /// [`Error::OtherRepresentation`].
@@ -133,7 +134,7 @@ impl State {
     /// Reads and verifies `state.json` of the checkpoint in `path`.
     ///
     /// # Errors
-    /// If it is missing, damaged, or of another layout.
+    /// If the file is missing, damaged, or of another layout.
     pub fn read(path: &Path) -> Result<Self, Error> {
         let damaged = |reason: String| Error::CheckpointDamaged {
             path: path.to_path_buf(),

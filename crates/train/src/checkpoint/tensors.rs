@@ -67,9 +67,9 @@ pub(super) fn write<'a>(
     let views = tensors
         .into_iter()
         .map(|(name, shape, values)| (name, HostView { shape, values }));
-    // `format` is what the Python loaders of torch models look for.
+    // Python loaders of torch models read the key `format`.
     let metadata = HashMap::from([("format".to_string(), "pt".to_string())]);
-    // The library replaces this file by one that only its owner can read.
+    // The library replaces this file with a file that only its owner can read.
     let file = File::create(path).map_err(Error::io("create", path))?;
     let permissions = file
         .metadata()
@@ -85,14 +85,14 @@ pub(super) fn write<'a>(
     sha256_of(&mut file).map_err(Error::io("read", path))
 }
 
-/// Writes a file so that it survives a crash after this returns.
+/// Writes a file that survives a crash after this function returns.
 pub(super) fn write_flushed(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     let mut file = File::create(path).map_err(Error::io("create", path))?;
     file.write_all(bytes).map_err(Error::io("write", path))?;
     file.sync_all().map_err(Error::io("flush", path))
 }
 
-/// Reads the optimiser's running means in the order of `infos`; empty for frozen parameters.
+/// Reads the optimizer's running means in the order of `infos`; empty for frozen parameters.
 pub(super) fn read_optimizer(
     path: &Path,
     state: &State,
@@ -147,8 +147,8 @@ pub(super) fn read(path: &Path, state: &State, file: &str) -> Result<Vec<HostPar
 
 /// The bytes of the intact file of tensors at `path`, or its fault.
 ///
-/// A damaged file may have any length: it is read into memory only if its header states its
-/// length, it fits, and its checksum matches.
+/// A damaged file may have any length. A file is read into memory only if its length equals the
+/// length in its header and fits in memory, and its checksum matches.
 fn read_intact(path: &Path, checksum: Option<&str>) -> io::Result<Result<Vec<u8>, String>> {
     let length = regular(path)?;
     let mut file = File::open(path)?;
@@ -160,7 +160,8 @@ fn read_intact(path: &Path, checksum: Option<&str>) -> io::Result<Result<Vec<u8>
         }
         None => return Ok(Err("its header cannot be read".into())),
     }
-    // The numbers are copied. Lack of memory is not damage: no older checkpoint replaces this one.
+    // Reading also copies the numbers. Lack of memory is not damage, so no older checkpoint is
+    // taken.
     let needed = length.saturating_mul(2);
     if let Some(free) = memory::available()
         && needed > free

@@ -1,4 +1,4 @@
-//! Checkpoints whose checksums are right and whose content is not.
+//! Checkpoints with valid checksums and invalid content.
 
 use std::fs;
 

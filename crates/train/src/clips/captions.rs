@@ -18,21 +18,22 @@ use kinegrad_settings::{InvalidSetting, Refused, in_range, nearest, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Most captions that an error lists.
+/// Maximum number of captions that an error lists.
 const LISTED: usize = 40;
 
 /// The table `text`: the captions that a model knows.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CaptionsConfig {
-    /// The captions of `data.humanml3d.text = "labels"`, of which the model has an embedding each.
-    /// If empty, those of the training clips; the run's saved config and its checkpoints state them.
+    /// The captions of `data.humanml3d.text = "labels"`. The model learns one embedding per
+    /// caption. An empty list stands for the captions of the training clips, which the saved config
+    /// and the checkpoints then list.
     pub captions: Vec<String>,
 }
 
 impl CaptionsConfig {
     /// # Errors
-    /// Names the key that cannot be followed.
+    /// Names the invalid key.
     pub fn validate(&self, data: &DataConfig) -> Result<(), InvalidSetting> {
         let key = "text.captions";
         let count = self.captions.len();
@@ -91,7 +92,7 @@ pub enum TextInput {
 }
 
 impl TextInput {
-    /// The text input of the model of a config with this table `text`.
+    /// The text input of a model with this table `text`.
     pub fn new(text: &CaptionsConfig, data: &DataConfig) -> Self {
         match data.humanml3d.text {
             CaptionText::Embeddings => Self::Embedding,
@@ -99,7 +100,7 @@ impl TextInput {
         }
     }
 
-    /// Values of a text.
+    /// Number of values per text.
     pub fn channels(&self) -> usize {
         match self {
             Self::Embedding => TEXT_CHANNELS,
@@ -115,7 +116,7 @@ impl TextInput {
         }
     }
 
-    /// The condition for `text`; `None` without one.
+    /// The condition for `text`; `None` without an embedding.
     ///
     /// # Errors
     /// [`Error::Usage`] for an unknown caption, and for an embedding without its caption.
@@ -152,7 +153,7 @@ impl TextInput {
 /// Rejects clips whose captions a model with this `input` does not know.
 ///
 /// # Errors
-/// [`Error::Usage`] with the first such clip and what the model knows.
+/// [`Error::Usage`] with the first such clip and the known captions.
 pub fn must_know_texts(input: &TextInput, clips: &[Arc<Clip>]) -> Result<(), Error> {
     for clip in clips {
         if let Some(text) = ClipText::of(clip) {
@@ -167,7 +168,7 @@ pub fn must_know_texts(input: &TextInput, clips: &[Arc<Clip>]) -> Result<(), Err
     Ok(())
 }
 
-/// The error of a caption that is not among those that a run knows.
+/// The error for an unknown caption.
 fn unknown(caption: &str, known: &[String]) -> Error {
     let names: Vec<&str> = known.iter().map(String::as_str).collect();
     let meant = nearest(caption, &names).map(|near| format!("did you mean `{near}`? "));
@@ -194,8 +195,8 @@ fn listed(captions: &[String]) -> String {
 /// The text of a request, in the form that models with these `inputs` support.
 ///
 /// # Errors
-/// [`Error::Usage`] for a text that one of them does not know, and for a missing or superfluous
-/// encoder; if a file cannot be read.
+/// [`Error::Usage`] for an unknown text, or a missing or superfluous encoder. Fails if a file
+/// cannot be read.
 pub fn text_of(
     request: &Request,
     inputs: &[TextInput],
@@ -244,10 +245,11 @@ pub fn text_of(
     Ok(Some(text))
 }
 
-/// The table `text` with the captions of the training clips, if captions are labels and it lists none.
+/// Fills the table `text` with the captions of the training clips if captions are labels and the
+/// table lists no caption.
 ///
 /// # Errors
-/// If there are none or too many, or a clip has an unknown one.
+/// If the number of captions is 0 or too large, or a clip has an unknown caption.
 pub fn with_captions(
     mut text: CaptionsConfig,
     context: &RunContext,

@@ -15,15 +15,15 @@ use serde::{Deserialize, Serialize};
 use crate::checkpoint::SavedCheckpoint;
 use crate::error::Error;
 
-/// The table `evaluation.evaluator`: the text-motion evaluator; empty without one.
+/// The table `evaluation.evaluator`: the text-motion evaluator. An empty table means no evaluator.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct EvaluatorFiles {
-    /// Run or checkpoint of recipe `text_motion`, in place of the files of the published one.
+    /// Run or checkpoint of recipe `text_motion`, instead of the files of the published evaluator.
     pub run: PathBuf,
     /// Weights with `movement_encoder`, `motion_encoder` and `text_encoder`.
     pub weights: PathBuf,
-    /// `.npy` files of the mean and deviation that it normalises by, of the relative root.
+    /// `.npy` files of the mean and deviation for normalizing features with a relative root.
     pub mean: PathBuf,
     /// See `mean`.
     pub std: PathBuf,
@@ -48,7 +48,7 @@ impl EvaluatorFiles {
     }
 
     /// # Errors
-    /// Names the file that is missing, or `run` if files are given as well.
+    /// Names the missing file, or `run` if files are given too.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         if !self.has_files() {
             return Ok(());
@@ -82,28 +82,28 @@ pub struct TextMotionReports {
 
 /// A text-motion evaluator.
 pub trait TextMotionEvaluator {
-    /// Rejects features that it was not trained on.
+    /// Rejects features of a layout other than the evaluator's.
     ///
     /// # Errors
-    /// [`Error::Features`] for features of another skeleton than the statistics'.
+    /// [`Error::Features`] if the skeleton differs from that of the statistics.
     fn must_take(&self, layout: FeatureLayout) -> Result<(), Error>;
 
-    /// The embedding of each clip, `[clips, width]`, with a root of either representation.
+    /// The embedding of each clip, `[clips, width]`. Both root representations are accepted.
     ///
     /// # Errors
-    /// [`Error::Usage`] for a clip that is too short; [`Error::Features`] for features of another
-    /// skeleton than the statistics'.
+    /// [`Error::Usage`] for a clip that is too short; [`Error::Features`] if the skeleton differs
+    /// from that of the statistics.
     fn motion_embeddings(&self, clips: &[&Features]) -> Result<Vec<Vec<f64>>, Error>;
 
-    /// The embedding of each caption, `[captions, width]`, by its first words.
+    /// The embedding of each caption, `[captions, width]`, computed from its first words.
     fn text_embeddings(&self, captions: &[&[Token]]) -> Vec<Vec<f64>>;
 
-    /// Evaluates generated clips, one for each of the `real` ones of the same lengths, with the
-    /// captions of `clips`. `seed` selects the pools for ranking captions, and the pairs for
-    /// diversity.
+    /// Evaluates generated clips, with the captions of `clips`. Each generated clip has the length
+    /// of the `real` clip at its index. `seed` selects the pools for ranking captions and the pairs
+    /// for diversity.
     ///
     /// # Errors
-    /// If features are of another layout than the evaluator's.
+    /// If the layout of the features differs from the evaluator's.
     fn reports(
         &self,
         generated: &[Features],
@@ -112,7 +112,7 @@ pub trait TextMotionEvaluator {
         labels: &ClipLabels,
         seed: u64,
     ) -> Result<TextMotionReports, Error> {
-        // In the order of their ids, neighbours would be alike.
+        // Clips with neighboring ids are similar, so pools take a random order.
         let order = Key::new(seed, Purpose::Pools).permutation(clips.len());
         let words = |&clip: &usize| match clips[clip].caption() {
             Some(caption) => caption.words(),

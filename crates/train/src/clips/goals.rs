@@ -9,7 +9,7 @@ use kinegrad_settings::Document;
 
 use crate::error::Error;
 
-/// Reads a goal, with the checksum of its file.
+/// Reads a goal and the checksum of its file.
 ///
 /// # Errors
 /// Names the file, the key, the value found and the allowed values.

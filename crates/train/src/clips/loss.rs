@@ -8,14 +8,14 @@ use kinegrad_models::DropoutKey;
 use crate::denoising::{Conditions, Inputs, RandomInputs, denoising_loss};
 use crate::recipe::Loss;
 
-/// The mean over the batch of the error of a network's output:
+/// The mean over a batch of the error of a network's output:
 ///
 /// ```text
 /// weights  sum over real frames and channels  w_c |target - output| / real frames      the w_c adding up to 1
 /// ```
 ///
-/// with the distance of `loss_type`, plus `velocity` times the squared error of each frame's difference
-/// from the frame before it.
+/// `loss_type` selects the distance. The loss adds `velocity` times the squared error of the
+/// differences between consecutive frames.
 ///
 /// # Shapes
 /// - model_output, target: `[batch, channels, time]`
@@ -46,7 +46,7 @@ pub fn weighted_masked_loss(
         distances = distances + Tensor::cat(vec![first, change], 2);
     }
     let distances = distances * shares;
-    // In a fixed order, whatever the number of threads: channels, frames, then the batch.
+    // The order is fixed for any number of threads: channels, frames, then the batch.
     let frames = distances.sum_dim(1).reshape([batch, time]) * mask.clone();
     let real = mask.sum_dim(1).clamp_min(1.0);
     let samples = frames.sum_dim(1) / real;
@@ -60,8 +60,8 @@ pub fn weighted_masked_loss(
     samples.sum() / batch as f64
 }
 
-/// The loss of a batch of clips: that of [`denoising_loss`], with the distance of
-/// [`weighted_masked_loss`] and, if `weighted`, the weights of `diffusion.snr_gamma`.
+/// The [`denoising_loss`] of a batch of clips, with the distance of [`weighted_masked_loss`]. If
+/// `weighted` is true, `diffusion.snr_gamma` weights the samples.
 pub fn clip_loss(
     diffusion: &GaussianDiffusion,
     inputs: Inputs,

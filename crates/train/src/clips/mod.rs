@@ -26,7 +26,7 @@ use crate::TrainedModel;
 use crate::error::Error;
 use crate::sampling::{Request, SampleSink};
 
-/// `own`, or the dataset of clips at `source`, whose lists define its held-out clips.
+/// `own`, or the dataset of clips at `source` with the held-out clips that its lists define.
 pub(crate) fn dataset_or(own: &DataConfig, source: Option<&str>) -> DataConfig {
     match source {
         None => own.clone(),
@@ -57,10 +57,10 @@ pub(crate) fn clips_named(dataset: &Dataset<Clip>, pattern: &str) -> Result<Vec<
 /// Clips and their dataset.
 pub type RequestedClips = (DataConfig, Vec<Arc<Clip>>);
 
-/// The clips that a request names by id, or held-out ones, with their dataset.
+/// The clips that a request names by id, or held-out clips, with their dataset.
 ///
 /// # Errors
-/// If there are none, or one cannot be read.
+/// If no clip matches, or a clip cannot be read.
 pub fn requested(
     trained: &TrainedModel,
     request: &Request,

@@ -1,7 +1,7 @@
 //! Paths that generated motion follows (docs/sources.md, section 7).
 //!
-//! Clips start at the origin and face +z. The path is moved there for sampling, and the motion is
-//! moved to the path afterwards.
+//! A path is moved to the origin, with heading +z, for sampling. The motion is moved to the path
+//! afterwards.
 
 use std::path::{Path, PathBuf};
 
@@ -24,7 +24,7 @@ use crate::sampling::{PathFile, PathRecord};
 pub struct PathTarget {
     /// The path.
     pub line: Polyline,
-    /// The position on it in each frame.
+    /// The position on the path in each frame.
     pub course: Course,
     /// The heading in each frame, smoothed and unwrapped, radians.
     pub headings: Vec<f64>,
@@ -73,7 +73,7 @@ impl PathTarget {
         }
     }
 
-    /// The warning about a path in `file` that exceeds the training motion.
+    /// The warning about a path in `file` that is faster than the training motion.
     pub fn too_fast(&self, file: &Path, fps: f64, fastest: Fastest) -> Option<String> {
         let steps = self.course.metres.windows(2).map(|pair| pair[1] - pair[0]);
         let speed = steps.fold(0.0, f64::max) * fps;
@@ -91,7 +91,7 @@ impl PathTarget {
         })
     }
 
-    /// The same in the frame of sampling: from the origin, facing +z.
+    /// The target moved to the origin and facing +z, for sampling.
     #[must_use]
     pub fn at_origin(&self) -> Self {
         let (start, turn) = (self.course.points[0], -self.headings[0]);
@@ -111,7 +111,7 @@ impl PathTarget {
         }
     }
 
-    /// Ground positions relative to the path's start, moved onto the path.
+    /// Moves ground positions that are relative to the path's start onto the path.
     pub fn on_path(&self, points: &[[f64; 2]]) -> Vec<[f64; 2]> {
         let ([x0, z0], (sin, cos)) = (self.course.points[0], self.headings[0].sin_cos());
         let moved = |[x, z]: &[f64; 2]| [x0 + x * cos + z * sin, z0 - x * sin + z * cos];
@@ -121,7 +121,7 @@ impl PathTarget {
     /// Moves a motion that was sampled in the path's frame onto the path.
     ///
     /// # Errors
-    /// If it is not of the skeleton.
+    /// If the motion does not fit the skeleton.
     pub fn placed(&self, joints: &Joints, skeleton: &Skeleton) -> Result<Followed, Error> {
         let track: Vec<[f64; 2]> = joints.track(0).iter().map(|[x, _, z]| [*x, *z]).collect();
         let turns = vec![self.headings[0]; track.len()];
@@ -134,11 +134,11 @@ impl PathTarget {
         })
     }
 
-    /// Moves a motion near the path onto it frame by frame, at the pace of the course, with the
-    /// heading of its root trajectory; locks feet with `lock_feet`.
+    /// Moves a motion near the path onto the path frame by frame, at the pace of the course. The
+    /// body turns with the heading of its root trajectory. Feet are locked if `lock_feet` is true.
     ///
     /// # Errors
-    /// If it is not of the skeleton.
+    /// If the motion does not fit the skeleton.
     pub fn corrected(
         &self,
         joints: &Joints,
@@ -149,7 +149,7 @@ impl PathTarget {
         let root = joints.track(0);
         let track: Vec<[f64; 2]> = root.iter().map(|[x, _, z]| [*x, *z]).collect();
         let turns = Self::WARP.turns(joints, skeleton, &track, &self.course);
-        // A body sways with its steps; the trajectory without sway is moved.
+        // A body sways with its steps, so the smoothed trajectory is moved onto the path.
         let trajectory = root_trajectory(&root, fps);
         let moved = track
             .iter()
@@ -166,7 +166,7 @@ impl PathTarget {
         self.with_feet(moved, joints, skeleton, lock_feet, &self.line)
     }
 
-    /// `moved` with the feet of `before` locked, if requested, and its deviation from `line`.
+    /// `moved` with the feet locked as in `before`, if requested, and the deviation from `line`.
     fn with_feet(
         &self,
         moved: Joints,
@@ -190,17 +190,17 @@ impl PathTarget {
         })
     }
 
-    /// Moves an unconditional motion onto the path; locks feet with `lock_feet`.
+    /// Moves an unconditional motion onto the path. Feet are locked if `lock_feet` is true.
     ///
     /// # Errors
-    /// If it is not of the skeleton.
+    /// If the motion does not fit the skeleton.
     pub fn warped(
         &self,
         joints: &Joints,
         skeleton: &Skeleton,
         lock_feet: bool,
     ) -> Result<Followed, Error> {
-        // The part of the path that the motion reaches at its speed.
+        // The part of the path that the motion reaches at the motion's speed.
         let line = self
             .line
             .up_to(self.course.metres.last().copied().unwrap_or(0.0));
@@ -225,7 +225,7 @@ pub enum Fastest {
 impl Fastest {
     /// The speed of the root in features of `skeleton`.
     pub fn of_clips(statistics: &Statistics, skeleton: &Skeleton) -> Self {
-        // Displacements of joint 0 in the facing frame, metres per frame.
+        // Displacements of joint 0 in the facing frame, meters per frame.
         let first = skeleton.layout().velocities().start;
         Self::of(statistics, first, skeleton.description().fps)
     }
@@ -244,10 +244,10 @@ impl Fastest {
     }
 }
 
-/// Smoothing window of a root trajectory, seconds: a path does not sway with the steps.
+/// Smoothing window of a root trajectory, seconds, which removes the sway of the steps.
 const SMOOTH: f64 = 1.0;
 
-/// The smoothed ground trajectory of a root at `places`, a point per frame.
+/// The smoothed ground trajectory of a root at `places`, one point per frame.
 pub fn root_trajectory(places: &[[f64; 3]], fps: f64) -> Vec<[f64; 2]> {
     let window = 2 * (SMOOTH * fps / 2.0) as usize + 1;
     let track: Vec<[f64; 2]> = places.iter().map(|[x, _, z]| [*x, *z]).collect();
@@ -261,14 +261,15 @@ pub struct Followed {
     pub joints: Joints,
     /// The deviation from the path.
     pub report: PathReport,
-    /// Largest distance of a foot from its locked position, because the leg does not reach, metres.
+    /// Largest distance between a foot and its locked position, meters; nonzero if a leg is too
+    /// short.
     pub legs_short: f64,
 }
 
-/// The features of joints on a path, with their own bone lengths.
+/// The features of joints on a path, with the bone lengths of these joints.
 ///
 /// # Errors
-/// If they are not joints of `skeleton`, or of a single frame.
+/// If the joints do not fit `skeleton`, or have a single frame.
 pub fn features_of(joints: &Joints, skeleton: &Skeleton, root: Root) -> Result<Features, Error> {
     let unscaled = Extraction {
         rescale: false,
@@ -291,7 +292,7 @@ impl FollowedPath {
     /// The path of `file` for `frames` frames at `fps` frames per second.
     ///
     /// # Errors
-    /// If it is not a path.
+    /// If the file is not a path.
     pub fn read(file: &PathFile, frames: usize, fps: f64) -> Result<Self, Error> {
         let (file, plan) = read_path(file)?;
         let target = PathTarget::new(&plan, frames, fps)?;
@@ -333,7 +334,7 @@ mod tests {
         let mut statistics = Statistics::new(vec![0.1, 0.0, 0.2], vec![0.02, 1.0, 0.01], None);
         let of = |statistics: &Statistics| Fastest::of(statistics, 0, 20.0);
         let known = statistics.as_mut().expect("statistics");
-        // 0.1 + 5 0.02 and 0.2 + 5 0.01 metres per frame.
+        // 0.1 + 5 0.02 and 0.2 + 5 0.01 meters per frame.
         assert_eq!(of(known), Fastest::Estimated(5.0));
         known.range = Some([vec![-0.5, -9.0, 0.0], vec![0.3, 9.0, 0.4]]);
         assert_eq!(of(known), Fastest::Measured(10.0));

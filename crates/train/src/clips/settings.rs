@@ -29,7 +29,7 @@ pub fn must_be_of_clips(config: &Config) -> Result<(), InvalidSetting> {
     )
 }
 
-/// Rejects style settings, which clips do not have, in the sampler and `process`.
+/// Rejects style settings in the sampler and `process`, because clips have no style.
 ///
 /// # Errors
 /// Names the key.

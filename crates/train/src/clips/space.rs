@@ -1,4 +1,4 @@
-//! Conversion between the network's feature space and metres.
+//! Conversion between the network's feature space and meters.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::humanml::Humanml3dConfig;
@@ -10,8 +10,8 @@ use kinegrad_motion::humanml::Features;
 
 use crate::error::Error;
 
-/// The linear map from the network's channels to some centred channels of motion: `[rows,
-/// channels]`. It inverts `projection` and normalisation by `std`.
+/// The linear map from the network's channels to the motion channels `rows`, centered:
+/// `[rows, channels]`. The map inverts `projection` and normalization by `std`.
 ///
 /// # Panics
 /// Panics if a row or the projection does not fit the channels.
@@ -34,23 +34,23 @@ pub fn rows_to_motion(
     rows.iter().flat_map(row).collect()
 }
 
-/// The affine map between normalised, perhaps projected features and features in metres and
-/// radians: `network = ((motion - mean) / std) P` (docs/sources.md, section 4.8).
+/// The affine map between the network's features and features in meters and radians, with an
+/// optional projection P: `network = ((motion - mean) / std) P` (docs/sources.md, section 4.8).
 #[derive(Clone, Debug)]
 pub struct FeatureSpace {
     mean: Tensor<3>,
     std: Tensor<3>,
-    /// The matrix and its inverse, transposed. The inverse of the published kind enlarges errors a
-    /// thousand times, so both products are float32 on every device.
+    /// The matrix and its inverse, transposed. The inverse of a published projection amplifies
+    /// errors a thousand times, so both products are float32 on every device.
     projection: Option<[Tensor<2>; 2]>,
-    /// Ground x and z of a frame in metres from the network's channels: `[1, 2, channels]`.
+    /// Ground x and z of a frame, meters, from the network's channels: `[1, 2, channels]`.
     ground: Tensor<3>,
-    /// Their means: `[1, 2, 1]`.
+    /// Means of ground x and z: `[1, 2, 1]`.
     ground_mean: Tensor<3>,
 }
 
 impl FeatureSpace {
-    /// The space of a network for features of this `mean` and `std`, one number a channel.
+    /// The space of a network for features of this `mean` and `std`, one number per channel.
     ///
     /// # Panics
     /// Panics if the ground's channels are missing, or the projection does not fit.
@@ -81,7 +81,7 @@ impl FeatureSpace {
         }
     }
 
-    /// Ground positions in metres of motion in the network's space.
+    /// Ground positions, meters, of motion in the network's space.
     ///
     /// # Shapes
     /// - x: `[batch, channels, time]`
@@ -91,10 +91,11 @@ impl FeatureSpace {
         float32_product(ground, x) + self.ground_mean.clone()
     }
 
-    /// The features of motion in the network's space, `[batch, channels, time]`, of clips of `data`.
+    /// The features of clips of `data` from motion in the network's space,
+    /// `[batch, channels, time]`.
     ///
     /// # Errors
-    /// [`Error::SampleNotFinite`] with the `name` of the first such clip.
+    /// [`Error::SampleNotFinite`] with the `name` of the first clip that is not finite.
     pub fn features(
         &self,
         x: Tensor<3>,
@@ -116,7 +117,7 @@ impl FeatureSpace {
         features.collect()
     }
 
-    /// A gradient by ground positions as one by the network's channels.
+    /// Converts a gradient by ground positions to a gradient by the network's channels.
     ///
     /// # Shapes
     /// - gradient: `[batch, 2, time]`
@@ -179,7 +180,7 @@ mod tests {
             let error = largest(&found.try_into_vec_as::<f32>().unwrap());
             assert!(error < 1e-3, "{mode:?}: {error}");
         }
-        // With products rounded as matrix units do, the error would be several deviations.
+        // TF32 products would give an error of several deviations.
         let tf32 = |value: f32| f32::from_bits((value.to_bits() + 0x1000) & !0x1fff);
         let times = |rows: &[f32], matrix: &[f32]| -> Vec<f32> {
             let mut out = vec![0.0; rows.len()];
@@ -191,7 +192,7 @@ mod tests {
             }
             out
         };
-        // Frames are rows here; the numbers are as good in any order.
+        // Frames are rows here; the order of the numbers does not matter.
         let there = times(&motion, projection.matrix());
         let error = largest(&times(&there, projection.inverse()));
         assert!(error > 0.05, "{error}");

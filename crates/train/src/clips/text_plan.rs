@@ -24,7 +24,7 @@ struct TextPlan {
 #[serde(deny_unknown_fields)]
 struct TextStep {
     seconds: f64,
-    /// The text; without one the motion continues unconditionally.
+    /// The text; without a text the motion continues unconditionally.
     text: Option<String>,
     /// The text's embedding instead, `FILE#KEY`.
     text_embedding: Option<String>,
@@ -113,7 +113,7 @@ impl TextPlan {
 pub struct TimedPrompt {
     /// The text; `None` for unconditional motion.
     pub text: Option<ClipText>,
-    /// Its frames, at least 1.
+    /// Number of frames, at least 1.
     pub frames: usize,
 }
 
@@ -132,7 +132,7 @@ impl TimedPrompt {
         prompts.iter().map(record).collect()
     }
 
-    /// The texts of a request's file for a model with this text `input`; `None` without a file.
+    /// The texts of a request's file, in the form of `input`; `None` without a file.
     ///
     /// # Errors
     /// If the request also sets a length, the file cannot be read, or a text is unknown.

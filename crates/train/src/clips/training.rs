@@ -18,7 +18,7 @@ use crate::system::System;
 /// Opens the dataset of the run and shows its warnings. Each rank reads a part. Collective.
 ///
 /// # Errors
-/// If it cannot be opened, or differs from the one trained on so far.
+/// If the dataset cannot be opened, or differs from that of earlier steps.
 pub fn open(context: &RunContext, observer: &mut dyn Observer) -> Result<Dataset<Clip>, Error> {
     let data = &context.config.data;
     let dataset = Dataset::open_among(data, &*observer.reading(), &*context.group)?;
@@ -41,10 +41,10 @@ pub fn start_of(
     }
 }
 
-/// Rejects a start that was trained on other features or texts than `config` has.
+/// Rejects an initial checkpoint whose features or texts differ from those of `config`.
 ///
 /// # Errors
-/// Names the key of the start, and the keys that differ.
+/// Names the key of the initial checkpoint and the keys that differ.
 pub fn must_fit_clips(start: &Start, config: &Config) -> Result<(), Error> {
     let found = &start.state().config.data.humanml3d;
     let given = &config.data.humanml3d;
@@ -61,7 +61,7 @@ pub fn must_fit_clips(start: &Start, config: &Config) -> Result<(), Error> {
 /// The statistics of the resumed run or of `start`, otherwise those of the training clips.
 ///
 /// # Errors
-/// [`Error::OtherRepresentation`] for statistics of other motion; if a clip cannot be read.
+/// [`Error::OtherRepresentation`] for statistics of other motion. Fails if a clip cannot be read.
 pub fn statistics(
     context: &RunContext,
     start: Option<&Start>,

@@ -1,5 +1,5 @@
-//! TOML tables: merging, deserialisation and overrides. Errors name file, line, key, the value found
-//! and the allowed values.
+//! TOML tables: merging, deserialization and overrides. Errors name file, line, key, the value
+//! found and the allowed values.
 
 use kinegrad_settings::{DocumentError, Place};
 use serde::de::DeserializeOwned;
@@ -33,13 +33,13 @@ pub(crate) fn value_at<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
     }
 }
 
-/// The config as TOML text, every key written out.
+/// The config as TOML text with every key.
 pub fn to_toml(config: &Config) -> String {
     toml::to_string(config).expect("a config is a table of plain values")
 }
 
-/// Deserialises `table`; `place` locates a dotted key. Every config uses this single deserialiser,
-/// because the code of one is a large part of this crate.
+/// Deserializes `table`; `place` locates a dotted key. All configs share this deserializer, because
+/// each deserializer adds much code to this crate.
 pub(crate) fn from_table<T: DeserializeOwned>(
     table: &Table,
     place: Place<'_>,
@@ -50,7 +50,7 @@ pub(crate) fn from_table<T: DeserializeOwned>(
         std::any::type_name::<T>(),
         names.join(", ")
     );
-    // Keys of the same table that are read by another type.
+    // Keys of the same table that another type reads.
     let beside: [(&str, &[&str]); 2] = [("", &COMMON), ("model", &MODEL_KEYS)];
     let help = "`kinegrad config explain` lists every key";
     Ok(kinegrad_settings::from_table(table, place, help, &beside)?)

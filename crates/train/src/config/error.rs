@@ -23,7 +23,7 @@ pub enum ConfigError {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Document(#[from] DocumentError),
-    /// An override of a training setting of a trained model.
+    /// An override of a training setting, for a trained model.
     #[error("option `set {argument}`: the model is trained, only keys of {tables} can be set")]
     #[diagnostic(help("{hint}"))]
     Trained {
@@ -31,7 +31,7 @@ pub enum ConfigError {
         argument: String,
         /// The tables whose keys can be set.
         tables: String,
-        /// The key that may have been meant.
+        /// The suggested key.
         hint: String,
     },
     /// An override that is not `KEY=VALUE`.

@@ -1,10 +1,10 @@
 //! The config of a run: plain data with a schema.
 //!
-//! A config has the tables that every run has ([`Config`]) and those of the run's
+//! A config consists of the tables that every run has ([`Config`]) and the tables of the run's
 //! [system](crate::System). Every key has a default.
-//! [`Systems::load`](crate::system::Systems::load) reads a file with overrides,
-//! [`Systems::validate`](crate::system::Systems::validate) rejects what cannot work before any work
-//! starts, and the resolved config is saved beside the run.
+//! [`Systems::load`](crate::system::Systems::load) reads a file with overrides, and
+//! [`Systems::validate`](crate::system::Systems::validate) rejects invalid settings. The run's
+//! folder contains the resolved config.
 
 mod difference;
 mod document;
@@ -38,7 +38,7 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use toml::{Table, Value};
 
-/// Keys of the table `model` that are not of the network.
+/// Keys of the table `model` that do not belong to the network.
 const MODEL_KEYS: [&str; 3] = ["kind", "size", "activation_checkpointing"];
 
 /// The config of a run.
@@ -71,12 +71,12 @@ impl Config {
     /// The tables of the run's system.
     ///
     /// # Panics
-    /// Panics if the system whose tables are `T` has not read them.
+    /// Panics if the tables have not been read as `T`.
     pub fn own<T: SystemTables>(&self) -> &T {
         self.system.get().expect("tables that the system has read")
     }
 
-    /// The config with other tables of the system.
+    /// The config with the system's tables replaced.
     #[must_use]
     pub fn with_own<T: SystemTables>(self, tables: T) -> Self {
         let system = OwnTables::new(tables);
@@ -84,7 +84,7 @@ impl Config {
     }
 }
 
-/// The reason why serialisation of a config cannot fail.
+/// The reason why serialization of a config cannot fail.
 pub const PLAIN: &str = "configs are plain data";
 
 /// Names of the tables that every run has.

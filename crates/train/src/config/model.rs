@@ -1,5 +1,5 @@
-//! The table `model`: `kind` selects the network, `size` the defaults of its keys; the network's
-//! settings read the rest.
+//! The table `model`: `kind` selects the network, and `size` selects the defaults of the network's
+//! keys. The network's settings read the other keys.
 
 use kinegrad_models::NetworkConfig;
 use kinegrad_settings::{DocumentError, Key, Name, Place, Values, not_among};
@@ -13,7 +13,7 @@ use super::{ConfigError, PLAIN};
 /// The table `model` of a system whose networks are `N`: an enum that is tagged with the `kind`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ModelTable<N> {
-    /// Named size that the network's keys start from; each can be set beside it.
+    /// Named size that sets the defaults of the network's keys.
     pub size: String,
     /// The kind of network and its sizes.
     #[serde(flatten)]
@@ -104,7 +104,8 @@ pub(super) fn complete(
     Ok(table)
 }
 
-/// Removes `key` from `given` and returns its value, one of `names`; the first if it is missing.
+/// Removes `key` from `given` and returns its value, one of `names`; without the key, the first
+/// name.
 fn chosen<'a>(
     given: &mut Table,
     key: &str,
@@ -121,7 +122,7 @@ fn chosen<'a>(
     })
 }
 
-/// Names the kind of network that has the unknown key.
+/// Adds the kind of network that has the unknown key to `error`.
 fn of_other_kind(kinds: &[NetworkKind], mut error: ConfigError) -> ConfigError {
     if let ConfigError::Document(DocumentError::UnknownKey { key, hint, .. }) = &mut error {
         let own = key.strip_prefix("model.").unwrap_or(key);

@@ -6,8 +6,8 @@ use kinegrad_settings::InvalidSetting;
 
 use super::{Config, difference};
 
-/// Keys and tables that may differ. The location, transport and cache of motion do not affect batches;
-/// the dataset's digest is checked separately.
+/// Keys and tables that a resumed run may change. The location, transport and cache of motion do
+/// not affect batches; the dataset's digest is checked separately.
 const FREE: [&str; 12] = [
     "train.max_steps",
     "run.device",
@@ -28,7 +28,7 @@ pub(crate) fn may_differ(key: &str) -> bool {
     FREE.iter().any(|free| kinegrad_data::matches(free, key))
 }
 
-/// Rejects a config that would not continue the saved one.
+/// Rejects changes of the saved config with which a run cannot continue.
 pub(crate) fn must_continue(saved: &Config, given: &Config) -> Result<(), InvalidSetting> {
     must_have_recipe(saved, given)?;
     let mut differences = difference(saved, given).into_iter();
@@ -38,7 +38,7 @@ pub(crate) fn must_continue(saved: &Config, given: &Config) -> Result<(), Invali
     }
 }
 
-/// Rejects a config of another recipe than that of the saved one.
+/// Rejects a config whose recipe differs from the saved recipe.
 pub(crate) fn must_have_recipe(saved: &Config, given: &Config) -> Result<(), InvalidSetting> {
     let [saved, given] = [saved, given].map(|config| format!("\"{}\"", config.train.recipe));
     match saved == given {

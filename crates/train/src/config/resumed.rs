@@ -1,4 +1,4 @@
-//! The config of a resumed run: the saved one with overrides.
+//! The config of a resumed run: the saved config with overrides.
 
 use toml::{Table, Value};
 
@@ -15,12 +15,12 @@ pub(crate) struct IgnoredKey {
     pub given: String,
 }
 
-/// The config of a resumed run: `saved` with `overrides`. `given` is the config of the file and the
-/// overrides, `defaults` the config without both.
+/// The config of a resumed run: `saved` with `overrides`. `given` is the config of file and
+/// overrides, and `defaults` is the config without both.
 ///
-/// Keys that [may differ](may_differ) and are only in the file are ignored and returned, so that a
-/// run started with overrides continues without them. Other keys of the file are included, so that
-/// they can be [refused](super::must_continue).
+/// Keys that [may differ](may_differ) and that only the file sets are ignored and returned, so that
+/// a run started with overrides continues without repeating the overrides. Other keys of the file
+/// are included; [`must_continue`](super::must_continue) refuses them.
 pub(crate) fn resumed(
     saved: &Config,
     given: &Config,
@@ -64,7 +64,7 @@ fn is_of(key: &str, table: &str) -> bool {
     rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
 }
 
-/// Copies `key` from `from` to `table`; removes it if `from` does not have it.
+/// Copies `key` from `from` to `table`, or removes the key if `from` does not have it.
 fn take(table: &mut Table, from: &Table, key: &str) {
     match key.split_once('.') {
         None => match from.get(key) {

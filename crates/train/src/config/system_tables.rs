@@ -13,7 +13,7 @@ use toml::{Table, Value};
 use super::{ConfigError, NetworkKind, PLAIN, Place, document, model};
 
 /// The tables of the system in a config, as plain data until
-/// [`System::complete`](crate::system::System::complete) deserialises them.
+/// [`System::complete`](crate::system::System::complete) deserializes them.
 #[derive(Clone)]
 pub struct OwnTables(Arc<dyn AnyTables>);
 
@@ -21,7 +21,7 @@ trait AnyTables: Any + Send + Sync {
     fn to_table(&self) -> Table;
 }
 
-/// Tables that no system has deserialised.
+/// Tables that no system has deserialized.
 struct Unread(Table);
 
 impl AnyTables for Unread {
@@ -47,13 +47,13 @@ impl OwnTables {
         Self(Arc::new(Unread(tables)))
     }
 
-    /// The struct of the system; `None` if it is another type.
+    /// The system's struct; `None` if the struct has another type.
     pub fn get<T: SystemTables>(&self) -> Option<&T> {
         let tables: &dyn Any = &*self.0;
         tables.downcast_ref()
     }
 
-    /// The tables as plain data, with every key if they are a system's struct.
+    /// The tables as plain data; a system's struct gives every key.
     pub fn to_table(&self) -> Table {
         self.0.to_table()
     }
@@ -91,10 +91,10 @@ impl<'de> Deserialize<'de> for OwnTables {
 
 /// The tables of a system as a struct with one field per table.
 pub trait SystemTables: Serialize + DeserializeOwned + Send + Sync + 'static {
-    /// Kinds of network for the table `model`, the default first; empty without that table.
+    /// Kinds of network for the table `model`, the default first; empty without a table `model`.
     const NETWORKS: &'static [NetworkKind] = &[];
 
-    /// Deserialises `tables`; `place` locates a dotted key.
+    /// Deserializes `tables`; `place` locates a dotted key.
     ///
     /// # Errors
     /// Names the location of the fault.
@@ -112,7 +112,7 @@ pub trait SystemTables: Serialize + DeserializeOwned + Send + Sync + 'static {
         document::from_table(&tables, place)
     }
 
-    /// Their keys, described by the struct's doc comments.
+    /// The keys of the tables, described by the struct's doc comments.
     fn keys() -> Vec<Key>
     where
         Self: JsonSchema,

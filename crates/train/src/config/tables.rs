@@ -47,29 +47,28 @@ pub enum LrSchedule {
     Constant,
 }
 
-/// The parameters that weight decay falls on.
+/// The parameters that weight decay applies to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum WeightDecayGroups {
-    /// All of them (CC-MotionGen).
+    /// All parameters (CC-MotionGen).
     #[default]
     All,
-    /// Weights of two or more dimensions, those of linear layers and convolutions: not biases, norms
-    /// or adapters, the groups that PyTorch trainings usually make.
+    /// Weights of two or more dimensions (linear layers and convolutions), as is common in PyTorch.
+    /// Biases, norms and adapters do not decay.
     Matrices,
 }
 
-/// The memory of the optimiser's moments and of the weights' moving average.
+/// The memory for the optimizer's moments and the weights' moving average.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OptimPlace {
-    /// Beside the networks on a graphics processor; in main memory on the CPU, and where several ranks
-    /// train.
+    /// Device memory on a GPU; main memory on the CPU and with several ranks.
     #[default]
     Auto,
-    /// In main memory: a graphics processor holds the weights and their gradients alone.
+    /// Main memory: a GPU then stores only weights and gradients.
     Host,
-    /// Beside the networks.
+    /// Device memory, beside the networks.
     Device,
 }
 
@@ -85,7 +84,7 @@ pub struct OptimConfig {
     pub weight_decay_groups: WeightDecayGroups,
     /// Decay of the running means of gradient and squared gradient.
     pub betas: [f64; 2],
-    /// Added to the denominator.
+    /// Added to the denominator of the update.
     pub eps: f64,
     /// Steps over which the learning rate rises linearly from 0.
     pub warmup_steps: u64,
@@ -93,9 +92,10 @@ pub struct OptimConfig {
     pub lr_schedule: LrSchedule,
     /// Learning rates of parameter groups (`unet`, `decoder`) that override `learning_rate`.
     pub groups: BTreeMap<String, f64>,
-    /// The memory of moments and moving average; the choice changes the last bits.
+    /// The memory for moments and moving average; the choice changes the last bits of results.
     pub offload: OptimPlace,
-    /// Shard moments and moving average over the ranks (ZeRO-1): less memory, the same bytes.
+    /// Shard moments and moving average over the ranks (ZeRO-1). Sharding saves memory and does not
+    /// change results.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub shard_states: bool,
 }
@@ -131,13 +131,13 @@ pub enum TrainPrecision {
     /// 32 bits.
     #[default]
     Float32,
-    /// Products of matrices in bfloat16, all else in float32: faster on a graphics processor whose matrix
-    /// units take it, slower on the CPU.
+    /// Matrix products in bfloat16, other operations in float32. Faster on GPUs with bfloat16
+    /// matrix units, slower on the CPU.
     Bf16,
 }
 
 impl TrainPrecision {
-    /// The kernels' name.
+    /// The precision as the kernels name it.
     pub fn of_products(self) -> Precision {
         match self {
             Self::Float32 => Precision::Float32,
@@ -152,13 +152,13 @@ impl TrainPrecision {
 pub struct TrainConfig {
     /// The training recipe, which belongs to one system.
     pub recipe: String,
-    /// Total number of optimiser steps.
+    /// Total number of optimizer steps.
     pub max_steps: u64,
-    /// Number of batches whose gradients are averaged for one step, each by its valid frames: as one
-    /// batch of them all.
+    /// Number of batches whose gradients are averaged for one step, weighted by valid frames. The
+    /// batches together act as one large batch.
     pub gradient_accumulation_steps: u64,
-    /// The precision of a step's products; weights, losses, the optimiser, validation and samples stay in
-    /// float32.
+    /// The precision of a step's products; weights, losses, the optimizer, validation and samples
+    /// stay in float32.
     pub precision: TrainPrecision,
     /// Gradients are clipped to this global norm; 0 disables clipping.
     pub max_grad_norm: f64,
@@ -189,7 +189,7 @@ impl Default for TrainConfig {
 pub struct EmaConfig {
     /// Decay of the average; 0 makes it a copy of the weights.
     pub decay: f64,
-    /// Optimiser steps between updates.
+    /// Optimizer steps between updates.
     pub update_every: u64,
     /// With `power`, the decay of update n is at most `1 - (1 + n / inv_gamma)^-power`, so that
     /// initial weights fade early in training; 0 disables this warm-up.
@@ -200,8 +200,8 @@ pub struct EmaConfig {
 
 impl Default for EmaConfig {
     fn default() -> Self {
-        // After 16400 steps, CC-MotionGen's 0.9999 every 10 steps still has 85 % of the initial weights,
-        // hence the warm-up.
+        // With CC-MotionGen's decay of 0.9999 every 10 steps, the average still contains 85 % of
+        // the initial weights after 16400 steps, hence the warm-up.
         Self {
             decay: 0.9999,
             update_every: 10,
@@ -234,14 +234,14 @@ impl Default for CheckpointConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SelectBy {
-    /// The validation loss. It is lowest for the mean of what can follow, and so rewards samples
-    /// that are all alike.
+    /// The validation loss, which is lowest for the mean of all plausible motions and so rewards
+    /// samples that are all alike.
     #[default]
     Loss,
     /// The Fréchet distance of samples from their held-out phrases, as in `kinegrad eval`.
     Frechet,
-    /// The deviation of the samples' diversity from that of the held-out phrases, as a ratio: 0 if
-    /// equal, symmetric. It does not detect implausible samples.
+    /// The deviation of the samples' diversity from that of the held-out phrases, as a symmetric
+    /// ratio; 0 if equal. Diversity does not reveal implausible samples.
     Diversity,
 }
 
@@ -254,13 +254,13 @@ pub struct ValidationConfig {
     /// Number of noise samples per held-out phrase for the diffusion loss; a rollout is sampled
     /// once.
     pub draws: usize,
-    /// The criterion of the best checkpoint, for recipes on phrases; patience uses it too.
+    /// The criterion of the best checkpoint and of `train.patience`, for recipes on phrases.
     pub select_by: SelectBy,
-    /// Number of held-out phrases with one sample each, if `select_by` is not `loss`; fewer than 20
-    /// give an unreliable distance between 18 features.
+    /// Number of held-out phrases with one sample each, if `select_by` is not `loss`. The distance
+    /// between 18 features is unreliable with fewer than 20 phrases.
     pub select_samples: usize,
-    /// Phrases per forward pass; for phrases of one length it does not change the result beyond
-    /// rounding.
+    /// Phrases per forward pass. With phrases of one length, the batch size changes the result only
+    /// by rounding.
     pub batch_size: usize,
 }
 
@@ -280,21 +280,21 @@ impl Default for ValidationConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ClipSample {
-    /// Each channel to its range in the training data. Not with an emphasis projection, nor with
-    /// statistics that came with the dataset.
+    /// Each channel to its range in the training data. Unavailable with an emphasis projection or
+    /// with statistics that came with the dataset.
     #[default]
     TrainingRange,
-    /// CC-MotionGen's -1 to 1, in normalised units. Real motion reaches 21 standard deviations in
-    /// single channels, so this flattens it.
+    /// CC-MotionGen's -1 to 1, in normalized units. Real motion reaches 21 standard deviations in
+    /// single channels, so this range flattens motion.
     Unit,
-    /// -6 to 6 in normalised units, as for the published trajectory model.
+    /// -6 to 6 in normalized units, as for the published trajectory model.
     Six,
     /// No clipping.
     None,
 }
 
 impl ClipSample {
-    /// The bounds of the first `channels`, in normalised units.
+    /// The bounds of the first `channels`, in normalized units.
     ///
     /// # Errors
     /// If the range of the training motion is needed but not known.
@@ -329,9 +329,9 @@ impl ClipSample {
 pub struct SamplingConfig {
     /// Number of samples generated when training ends; phrases are post-processed and checked.
     pub count_at_end: usize,
-    /// Steps between previews: samples of the EMA weights for the first held-out items,
-    /// `count_at_end` of them (4 if it is 0), as a page in the run's folder and as TensorBoard
-    /// images; 0 disables them. A checkpoint is written at each of these steps too.
+    /// Steps between previews; 0 disables previews. A preview has `count_at_end` samples (4 if
+    /// `count_at_end` is 0) of the EMA weights for the first held-out items, as a page in the run's
+    /// folder and as TensorBoard images. Each preview also writes a checkpoint.
     pub preview_every_steps: u64,
     /// The clipping range of the predicted clean motion.
     pub clip: ClipSample,
@@ -339,7 +339,7 @@ pub struct SamplingConfig {
     pub sampler: SamplerConfig,
 }
 
-/// Rejects bad values in the tables above.
+/// Rejects invalid values in the tables of training.
 pub(crate) fn validate(config: &Config, recipe: &RecipeInfo) -> Result<(), InvalidSetting> {
     let Config {
         optim,

@@ -8,11 +8,11 @@ use crate::TrainedModel;
 use crate::clips::dataset_or;
 use crate::error::Error;
 
-/// The clips of an evaluation and their config: `own`, or that of the request's dataset. `purpose` is
-/// a clause for the error's hint. Each process reads a part. Collective.
+/// The clips of an evaluation and their config: `own`, or the config of the request's dataset.
+/// `purpose` is a clause for the error's hint. Each process reads a part. Collective.
 ///
 /// # Errors
-/// [`Error::Usage`] without held-out clips; if the dataset cannot be opened.
+/// [`Error::Usage`] without held-out clips. Fails if the dataset cannot be opened.
 pub fn clips_with_held_out(
     own: &DataConfig,
     trained: &TrainedModel,
@@ -63,7 +63,8 @@ fn must_hold_out<T: Item>(
     Err(Error::usage(message, hint))
 }
 
-/// A note if there are fewer held-out clips, `found`, than `wanted` goals or rollouts, called `name`.
+/// A note if fewer clips are held out (`found`) than goals or rollouts are `wanted`. `name` names
+/// goals or rollouts.
 pub fn note_if_fewer(
     found: usize,
     wanted: usize,

@@ -20,7 +20,8 @@ use crate::config::SamplingConfig;
 use crate::error::Error;
 use crate::process_group::ProcessGroup;
 
-/// Progress callback: stage, steps done and in total. `Break` ends with [`Error::Interrupted`].
+/// Progress callback with stage, steps done and total steps. `Break` ends the evaluation with
+/// [`Error::Interrupted`].
 pub type OnStep<'a> = dyn FnMut(&'static str, usize, usize) -> ControlFlow<()> + 'a;
 
 /// A validated evaluation, to be called with a progress callback.
@@ -33,7 +34,7 @@ pub type Measure<'a> = Box<dyn FnOnce(&mut OnStep<'_>) -> Result<Results, Error>
 pub struct Evaluation<'a> {
     /// Stem of the report's files.
     pub report: &'static str,
-    /// Bytes of main memory that each process needs, roughly; 0 for little.
+    /// Approximate main memory of each process, bytes; 0 for little.
     pub memory: u64,
     /// Hint of the error if memory is short.
     pub memory_hint: &'static str,

@@ -8,7 +8,7 @@ use serde_json::{Map, Value, from_value, to_value};
 use super::{Metrics, Number, OnStep};
 use crate::error::Error;
 
-/// The results of `count` evaluations by `one`, which gets `seed` and the seeds after it.
+/// The results of `count` evaluations by `one`, with consecutive seeds from `seed` on.
 ///
 /// # Errors
 /// As `one`.
@@ -26,19 +26,19 @@ pub fn replicate<T>(
     replications.collect()
 }
 
-/// The means of replicated reports, with half the width of the 95 % interval of each.
+/// The means of replicated reports, with the half-width of each 95 % interval.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Replicated<T> {
     /// The mean of each metric. Counts are those of the first report.
     #[serde(flatten)]
     pub mean: T,
-    /// The [`replication_interval`] of each; `None` for a single report.
+    /// The [`replication_interval`] of each metric; `None` for a single report.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub interval: Option<T>,
 }
 
 impl<T: Serialize + DeserializeOwned> Replicated<T> {
-    /// The reports combined. A metric that one of them lacks is missing.
+    /// Combines the reports. A metric that a report lacks is missing.
     ///
     /// # Panics
     /// Panics without a report, or if a report is not a plain struct of numbers.
@@ -58,7 +58,7 @@ impl<T: Serialize + DeserializeOwned> Replicated<T> {
         }
     }
 
-    /// [`of`](Self::of) reports; `None` if a replication lacks it.
+    /// [`of`](Self::of) for optional reports; `None` if a report is missing.
     pub fn of_all(reports: impl Iterator<Item = Option<T>>) -> Option<Self> {
         let reports: Option<Vec<T>> = reports.collect();
         Some(Self::of(&reports?))

@@ -21,12 +21,12 @@ pub struct EvaluationRequest {
     pub seed: u64,
     /// Compare the phrases' own music with silence and altered music.
     pub audio_ablation: bool,
-    /// The processes that share sampling; all get the same results.
+    /// The processes that share sampling; all processes get the same results.
     pub group: Rc<ProcessGroup>,
 }
 
 impl EvaluationRequest {
-    /// Rejects options that are not among the `accepted` ones.
+    /// Rejects options that are not `accepted`.
     pub(crate) fn must_be_accepted(
         &self,
         accepted: &[&str],

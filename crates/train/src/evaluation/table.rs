@@ -39,7 +39,7 @@ impl Group {
 pub struct Number {
     /// Its name in files.
     pub name: String,
-    /// None if it cannot be computed.
+    /// `None` if the number cannot be computed.
     pub value: Option<f64>,
     /// Its row in tables: a title and the number as text; `None` for files only.
     pub line: Option<(String, Option<String>)>,

@@ -20,8 +20,8 @@ impl Moments {
         }
     }
 
-    /// Updates a parameter in place by an [`AdamW::step`] and, in the same pass, its moving average with
-    /// the share of [`share_at`](crate::config::EmaConfig::share_at).
+    /// Updates a parameter in place by an [`AdamW::step`] and, in the same pass, its moving average
+    /// with the share of [`share_at`](crate::config::EmaConfig::share_at).
     ///
     /// # Panics
     /// Panics if the lengths differ.
@@ -52,18 +52,18 @@ impl Moments {
 /// p -= lr mhat / (sqrt(vhat) + eps)    with  mhat = m / (1 - b1^t),  vhat = v / (1 - b2^t)
 /// ```
 ///
-/// With CC-MotionGen's rate and decay of 1e-4 each, `1 - lr decay` rounds to 1 in single precision, so
-/// that decay has no effect.
+/// With CC-MotionGen's rate and decay of 1e-4 each, `1 - lr decay` rounds to 1 in single precision,
+/// so weight decay has no effect.
 #[derive(Clone, Debug)]
 pub struct AdamW {
     config: OptimConfig,
     steps: u64,
-    /// Weight decay per parameter; all decay if this is empty.
+    /// True for parameters that decay; if empty, all parameters decay.
     decaying: Vec<bool>,
 }
 
 impl AdamW {
-    /// An optimiser after `steps` steps.
+    /// An optimizer after `steps` steps.
     pub fn new(config: &OptimConfig, steps: u64) -> Self {
         Self {
             config: config.clone(),
@@ -72,13 +72,13 @@ impl AdamW {
         }
     }
 
-    /// The same optimiser, with weight decay on the selected parameters only, in their order.
+    /// The optimizer with weight decay on the selected parameters only, in their order.
     #[must_use]
     pub fn with_decay_on(self, decaying: Vec<bool>) -> Self {
         Self { decaying, ..self }
     }
 
-    /// Starts a step, to which [`step`](Self::step) then belongs.
+    /// Starts a step; [`step`](Self::step) then gives its settings.
     pub fn begin_step(&mut self) {
         self.steps += 1;
     }
@@ -88,7 +88,7 @@ impl AdamW {
         self.steps
     }
 
-    /// The settings of this step for parameter `index`, whose gradient is scaled by `gradient_scale`.
+    /// The settings of this step for parameter `index`; `gradient_scale` scales the gradient.
     pub fn step(&self, index: usize, gradient_scale: f64, learning_rate: f64) -> kernels::AdamW {
         let decays = self.decaying.get(index).copied().unwrap_or(true);
         kernels::AdamW {

@@ -1,8 +1,8 @@
 use crate::config::{LrSchedule, OptimConfig};
 
-/// The learning rate of optimiser step `step`, from 0, out of `max_steps`: `base step / warmup` in the
-/// warm-up, then the decay over the remaining steps (CC-MotionGen, section 6.3; docs/sources.md,
-/// section 1.10).
+/// The learning rate of optimizer step `step` (from 0) of `max_steps`: `base step / warmup` during
+/// the warm-up, then the decay over the remaining steps (CC-MotionGen, section 6.3;
+/// docs/sources.md, section 1.10).
 pub fn learning_rate(config: &OptimConfig, base: f64, step: u64, max_steps: u64) -> f64 {
     let warmup = config.warmup_steps;
     if step < warmup {

@@ -1,7 +1,7 @@
-//! The optimiser: AdamW over named parameters.
+//! The optimizer: AdamW over named parameters.
 //!
-//! Burn's AdamW keys its state by identifiers that are random in each process, and clips each tensor
-//! separately. Exact resuming needs names, and the source clips by the global norm.
+//! Burn's AdamW keys its state by identifiers that are random in each process, and clips each
+//! tensor separately. Exact resuming needs names, and CC-MotionGen clips by the global norm.
 
 mod adamw;
 mod clip;

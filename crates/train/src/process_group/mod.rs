@@ -1,7 +1,7 @@
 //! Agreement of ranks: all continue, or all end at the same point.
 //!
-//! A failure of one rank is reported to all before the next collective operation, so that none waits
-//! for a rank that has ended.
+//! A failure of one rank is reported to all ranks before the next collective operation, so that no
+//! rank waits for a rank that has ended.
 
 mod sharing;
 
@@ -24,7 +24,7 @@ enum Status {
     FailedData = 3,
 }
 
-/// A rank's own value and the values of all ranks, in order; `None` if one of them stops.
+/// A rank's own value and the values of all ranks, in order; `None` if a rank stops.
 pub type Agreed<T, S = Vec<f64>> = Option<(T, Vec<S>)>;
 
 /// The ranks of a run.
@@ -101,7 +101,7 @@ impl ProcessGroup {
         all
     }
 
-    /// This rank's outcome and the values of all ranks; `None` if one stops. Collective.
+    /// This rank's outcome and the values of all ranks; `None` if a rank stops. Collective.
     pub(crate) fn agree<T>(
         &self,
         own: Result<Option<T>, Error>,
@@ -164,8 +164,8 @@ impl ProcessGroup {
         Ok(own?.map(|(own, _)| (own, all)))
     }
 
-    /// True if only data failed, on any rank: progress before the error of [`agree`](Self::agree) should
-    /// be saved. Equal on all ranks.
+    /// True if only data failed, on any rank. Progress should then be saved before returning the
+    /// error of [`agree`](Self::agree). The value is equal on all ranks.
     pub(crate) fn saves_progress(&self) -> bool {
         self.saves_progress.get()
     }
@@ -233,12 +233,14 @@ impl ProcessGroup {
         Some((rank, all[rank][1]))
     }
 
-    /// Waits for all ranks, because launchers end the others when one returns a nonzero code. Collective.
+    /// Waits for all ranks, because launchers end all ranks when one returns a nonzero code.
+    /// Collective.
     pub fn barrier(&self) {
         self.gather(Tag::End, &[]);
     }
 
-    /// Reports a failure of this rank to all ranks, unless it was reported before. Collective if it failed.
+    /// Reports a failure of this rank to all ranks, unless it was reported before. Collective on
+    /// failure.
     ///
     /// # Errors
     /// The error of `outcome`.

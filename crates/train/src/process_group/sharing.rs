@@ -25,7 +25,7 @@ impl ProcessGroup {
         )
     }
 
-    /// The number of this rank's items before `number`, and in total.
+    /// The number of this rank's items before `number`, and the total of this rank's items.
     pub(crate) fn own_of(&self, number: usize, count: usize) -> [usize; 2] {
         let (rank, size) = (self.ranks().rank(), self.ranks().size());
         [number, count].map(|end| end.saturating_sub(rank).div_ceil(size))

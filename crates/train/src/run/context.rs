@@ -119,7 +119,7 @@ impl RunContext {
     /// Shows the warnings of the run's dataset.
     ///
     /// # Errors
-    /// If it differs from the one trained on so far.
+    /// If the dataset differs from that of earlier steps.
     pub fn check_dataset<T: Item>(
         &self,
         dataset: &Dataset<T>,
@@ -134,7 +134,7 @@ impl RunContext {
     /// The training data of `dataset`, and the held-out items, loaded into memory.
     ///
     /// # Errors
-    /// If a held-out item cannot be read, or `sampling.clip` cannot be followed.
+    /// If a held-out item cannot be read, or `sampling.clip` does not fit the data.
     pub fn training_data<T: Item, S: Samples>(
         &self,
         dataset: Dataset<T>,
@@ -165,7 +165,7 @@ impl RunContext {
         Ok((training_data, held_out.among(&self.group)))
     }
 
-    /// Rejects a dataset that differs from the one trained on so far.
+    /// Rejects a dataset that differs from that of earlier steps.
     ///
     /// # Errors
     /// With both digests.
@@ -200,7 +200,7 @@ impl RunContext {
             let path = Checkpoints::of(&self.folder).step_path(checkpoint.state.step);
             check_moments(&model, checkpoint, &path)?;
         }
-        // Nothing is written before all ranks get here.
+        // Nothing is written before all ranks reach this point.
         let group = self.group;
         group.done(Ok(()))?;
         group.must_match(&[("dataset", &training_data.digest.to_string())])?;
@@ -317,11 +317,11 @@ fn write_start(
     } = outcome;
     let checkpoints = Checkpoints::of(folder);
     if is_resumed && checkpoints.best() != progress.best() {
-        // A crash came between the checkpoint and the record of the best step.
+        // A crash may have come between the checkpoint and the record of the best step.
         checkpoints.set_best(progress.best().as_ref())?;
     }
     if nothing_left {
-        // A kill after the last checkpoint may have prevented this.
+        // A process killed after the last checkpoint may not have removed old ones.
         checkpoints.prune(*step, config.checkpoint.keep_last, progress.best_step)?;
         return Ok(lock.clone());
     }
@@ -339,7 +339,7 @@ fn write_start(
     };
     write_config(folder, config)?;
     if config.sampling.count_at_end > 0 {
-        // Samples at an earlier end are of other weights.
+        // Samples from an earlier end of training belong to other weights.
         let unfinished = folder.join(UNFINISHED_SAMPLES);
         remove(&unfinished)?;
         fs::create_dir(&unfinished).map_err(Error::io("create", &unfinished))?;

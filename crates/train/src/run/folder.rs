@@ -102,7 +102,7 @@ pub(super) fn write_config(folder: &Path, config: &Config) -> Result<(), Error> 
 /// Removes a file, or a folder with its contents, if it exists.
 ///
 /// # Errors
-/// If it cannot be removed.
+/// If the file or folder cannot be removed.
 pub fn remove(path: &Path) -> Result<(), Error> {
     let removed = match path.is_dir() && !path.is_symlink() {
         true => fs::remove_dir_all(path),
@@ -127,7 +127,7 @@ pub fn is_in_use(folder: &Path) -> bool {
     let Ok(file) = File::open(folder.join(LOCK)) else {
         return false;
     };
-    // A shared lock lets others look at the same time.
+    // With a shared lock, several processes can check at a time.
     matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock))
 }
 

@@ -49,16 +49,16 @@ pub struct Plan {
     pub step: u64,
     /// Steps in total.
     pub max_steps: u64,
-    /// Peak main memory, bytes: the measured peak plus estimates of checkpoints and of the samples at the
-    /// end, or without a measurement an estimate of training alone.
+    /// Peak main memory, bytes: the measured peak plus estimates for checkpoints and final samples.
+    /// Without a measurement, the value is an estimate for training alone.
     pub memory_bytes: u64,
     /// Free main memory, if known.
     pub free_memory_bytes: Option<u64>,
-    /// Mean time of a step; `None` if none is left.
+    /// Mean time of a step; `None` if no step is left.
     pub step_seconds: Option<f64>,
     /// Number of measured steps.
     pub measured_steps: u32,
-    /// Time of a validation; `None` without one, or if measuring it would take too long.
+    /// Time of a validation; `None` without validation, or if measuring would take too long.
     pub validation_seconds: Option<f64>,
     /// Remaining validations.
     pub validations: u64,
@@ -66,7 +66,7 @@ pub struct Plan {
     pub training_seconds: f64,
     /// Size of a checkpoint.
     pub checkpoint_bytes: u64,
-    /// Most checkpoints in the folder at a time.
+    /// Maximum number of checkpoints in the folder.
     pub checkpoints: u64,
     /// Size of the samples at the end.
     pub samples_bytes: u64,
@@ -75,8 +75,8 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// Measures some steps and a validation of a run; `memory` is the estimate for training and for the
-    /// samples at the end, bytes.
+    /// Measures some steps and a validation of a run; `memory` is the estimate for training and for
+    /// the samples at the end, bytes.
     pub(super) fn measure<R: Recipe>(
         parts: TrainerParts<R>,
         model: R::Model,
@@ -113,7 +113,7 @@ impl Plan {
                 // Validation runs every `every` steps and after the last.
                 validations = all / every - done / every + u64::from(!all.is_multiple_of(every));
                 validations += u64::from(done == 0 && measures_first);
-                // A validation is as many forward passes.
+                // A validation consists of this many forward passes.
                 let items = summary.validation_phrases * config.validation.draws;
                 let step = times.iter().sum::<Duration>() / times.len() as u32;
                 let expected = step * items.div_ceil(config.data.batch_size) as u32;
@@ -130,7 +130,7 @@ impl Plan {
         let left = summary.max_steps.saturating_sub(summary.step);
         let parameters = &summary.parameters;
         let best = u64::from(config.validation.every_steps > 0);
-        // Two moments of the trained parameters, weights and average of all.
+        // Two moments of trained parameters; weights and average of all parameters.
         let checkpoint_bytes = NUMBER * (2 * parameters.all + 2 * parameters.trained) as u64;
         let written = left.div_ceil(config.checkpoint.every_steps.max(1)) + 1;
         let checkpoints = (config.checkpoint.keep_last as u64 + best).min(written);

@@ -47,7 +47,7 @@ pub struct TrainRequest {
 /// keys that [may differ](config::may_differ) are ignored with a warning.
 ///
 /// # Errors
-/// If the request is invalid, before anything is written, or if the run fails.
+/// If the request is invalid (before anything is written), or the run fails.
 pub fn train(
     systems: Systems<'_>,
     request: &TrainRequest,
@@ -56,7 +56,7 @@ pub fn train(
     train_distributed(systems, request, &ProcessGroup::alone(), observer)
 }
 
-/// [`train`] by the processes of `group`. The first writes the run and has its lock.
+/// [`train`] by the processes of `group`. The first process writes the run and has its lock.
 ///
 /// # Errors
 /// As [`train`]; ranks that did not fail themselves return [`Error::OtherRank`].
@@ -167,8 +167,8 @@ fn saved_of(systems: Systems<'_>, folder: &Path) -> Result<Config, Error> {
     }
 }
 
-/// Reads a config with the values inherited from its initial checkpoints. If one is missing, calls
-/// `warn` and returns the config without them.
+/// Reads a config with the values inherited from its initial checkpoints. If a checkpoint is
+/// missing, calls `warn` and returns the config without inherited values.
 ///
 /// # Errors
 /// If the config cannot be read.

@@ -22,11 +22,11 @@ pub enum Condition {
     Item {
         /// Id of the item, or a pattern in a request.
         id: String,
-        /// The dataset; that of the run if `None`.
+        /// The dataset; the run's dataset if `None`.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         source: Option<String>,
     },
-    /// The first held-out items of the run's dataset, by their number.
+    /// Number of the first held-out items of the run's dataset.
     HeldOut(usize),
     /// A file of audio features.
     AudioFeatures(PathBuf),
@@ -36,7 +36,7 @@ pub enum Condition {
         file: PathBuf,
         /// Position in the song at which the motion starts, seconds.
         start: f64,
-        /// Known facts about its beats, which are not tracked.
+        /// Known facts about the song's beats.
         #[serde(default, skip_serializing_if = "KnownBeats::is_empty")]
         beats: KnownBeats,
     },
@@ -145,7 +145,7 @@ impl PartialEq for TrajectoryCondition {
 pub struct PathFile {
     /// The file.
     pub file: PathBuf,
-    /// Metres per unit of a drawing.
+    /// Meters per unit of a drawing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub metres_per_unit: Option<f64>,
 }
@@ -157,7 +157,7 @@ pub struct KnownFramesCondition {
     pub motion: PathBuf,
     /// Start and end of each range, ascending and disjoint; empty for the last frames.
     pub frames: Vec<[usize; 2]>,
-    /// True if the sample starts with these frames; otherwise they have the same positions in both.
+    /// True if the sample starts with these frames; otherwise the frames keep their positions.
     pub continued: bool,
 }
 
@@ -201,7 +201,7 @@ impl OtherCondition {
 }
 
 impl Condition {
-    /// Its name; recipes list the names of the conditions that they accept.
+    /// The condition's name; recipes list the names of accepted conditions.
     pub fn name(&self) -> &str {
         match self {
             Self::Item { .. } => "item",

@@ -32,10 +32,10 @@ pub enum Generated {
         skeleton: Box<Skeleton>,
         /// Joint features, for models that generate them.
         features: Option<Features>,
-        /// The ground path of a first stage, x and z in metres.
+        /// The ground path of a first stage, x and z in meters.
         path: Option<Vec<[f64; 2]>>,
     },
-    /// A ground path, x and z in metres.
+    /// A ground path, x and z in meters.
     Ground(Vec<[f64; 2]>),
     /// Rows of numbers of another representation.
     Rows {

@@ -35,7 +35,7 @@ impl Job {
         }
     }
 
-    /// The seed of its noise, which depends on the item that names it.
+    /// The seed of the job's noise, which depends on the item that names the job.
     pub fn seed(&self, seed: u64) -> u64 {
         let id = self.name.as_deref();
         id.map_or(seed, |id| item_seed(seed, id))
@@ -53,7 +53,7 @@ pub struct Needs {
     pub hint: &'static str,
 }
 
-/// A request resolved by a system: its conditions are read and fit the model.
+/// A request resolved by a system: the conditions have been read and fit the model.
 pub trait Sampler {
     /// The jobs, in the order of their samples.
     fn jobs(&self) -> &[Job];
@@ -125,7 +125,7 @@ impl Run<'_> {
     /// Passes a sample to the sink.
     ///
     /// # Errors
-    /// If it cannot be stored.
+    /// If the sample cannot be stored.
     pub fn pass(
         &mut self,
         job: usize,

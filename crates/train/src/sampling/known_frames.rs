@@ -33,7 +33,7 @@ impl KnownFramesCondition {
     /// The frames `text` of a phrase: half-open ranges such as `0..30,90..120`.
     ///
     /// # Errors
-    /// [`Error::Usage`] if these are not ascending ranges.
+    /// [`Error::Usage`] if `text` is not a list of ascending ranges.
     pub fn in_place(motion: &Path, text: &str) -> Result<Self, Error> {
         let wrong = |found: &str| {
             Error::usage(
@@ -61,7 +61,8 @@ impl KnownFramesCondition {
         })
     }
 
-    /// Reads the frames for a sample of `frames` frames; a continuation takes at most `most_last` frames.
+    /// Reads the frames for a sample of `frames` frames; a continuation takes at most `most_last`
+    /// frames.
     ///
     /// # Errors
     /// If the file is not a finite phrase, is too short, or leaves no frame to sample.
@@ -139,8 +140,9 @@ impl KnownFrames {
         }
     }
 
-    /// Writes the known frames into `motion`, whose other quaternions get the sign of the first known one.
-    /// If the motion makes another turn before a later range, that range gets the continuous sign.
+    /// Writes the known frames into `motion`. All quaternions of `motion` get the sign that fits
+    /// the first known frame. A later range gets the opposite sign if `motion` makes another turn
+    /// before it.
     pub fn put_into(&self, motion: &mut Phrase) {
         let Some(first) = self.frames.first().map(|range| range.start) else {
             return;
@@ -169,7 +171,7 @@ mod tests {
 
     #[test]
     fn the_sign_of_quaternions_goes_on_into_later_ranges() {
-        // Known: facing +z in two ranges. Sampled: a full turn between them.
+        // The known motion faces +z in two ranges. The sampled motion turns once between them.
         let facing = |angle: f64| {
             let mut frame = vec![0.0; CHANNELS];
             let Quaternion { w, x, y, z } = Quaternion::from_yaw(angle);

@@ -10,7 +10,7 @@ pub struct Names {
 }
 
 impl Names {
-    /// The name of sample `index` of a stem, from 0.
+    /// The name of sample `index` (from 0) of a stem.
     pub fn of(&self, stem: &str, index: usize) -> String {
         match self.count {
             1 => stem.to_string(),

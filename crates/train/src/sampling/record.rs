@@ -32,8 +32,8 @@ pub struct Record {
     pub recipe: String,
     /// Seed of the noise.
     pub seed: u64,
-    /// Number of the sample, from 0, within its condition or, for clips guided to goals, its batch. The
-    /// noise depends on `seed`, this number and the condition's name.
+    /// Number of the sample, from 0, within its condition or, for clips guided to goals, its batch.
+    /// The noise depends on `seed`, this number and the condition's name.
     pub index: usize,
     /// Length in frames.
     pub frames: usize,
@@ -113,7 +113,8 @@ pub struct PromptRecord {
     pub text: Option<String>,
 }
 
-/// A batch of clips guided to goals; the guidance of each depends on the keyframes of all.
+/// A batch of clips guided to goals; the guidance of each clip depends on the keyframes of all
+/// clips.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BatchRecord {
     /// Clips for each goal.
@@ -136,7 +137,7 @@ pub struct GoalRecord {
 pub struct WindowsRecord {
     /// Frames of each.
     pub frames: usize,
-    /// Their number, evenly spread.
+    /// Number of windows, evenly spread.
     pub count: usize,
     /// Windows per network call.
     pub in_flight: usize,
@@ -159,7 +160,8 @@ pub struct SamplerRecord {
 }
 
 impl Record {
-    /// The record of sample 0 of `trained`, without frames and conditions, which the system fills in.
+    /// The record of sample 0 of `trained`, without frames and conditions, which the system fills
+    /// in.
     pub fn new(system: &str, trained: &TrainedModel, seed: u64) -> Self {
         let config = trained.config();
         Self {

@@ -11,13 +11,14 @@ use crate::error::Error;
 /// A request for samples.
 #[derive(Clone, Debug, Default)]
 pub struct Request {
-    /// The conditions; without any the system chooses one, or samples unconditionally.
+    /// The conditions; without conditions the system chooses one, or samples unconditionally.
     pub conditions: Vec<Condition>,
     /// Samples per condition.
     pub count: usize,
     /// Frames to generate.
     pub frames: Option<usize>,
-    /// Seconds to generate, instead of `frames`: [`Systems::sample`](crate::system::Systems::sample) converts them.
+    /// Seconds to generate, instead of `frames`:
+    /// [`Systems::sample`](crate::system::Systems::sample) converts them.
     pub seconds: Option<f64>,
     /// Seed of the noise.
     pub seed: u64,
@@ -104,7 +105,7 @@ impl Request {
     /// The request with frames instead of seconds, at `fps` frames per second.
     ///
     /// # Errors
-    /// For less than a frame or too many.
+    /// For less than one frame or too many frames.
     pub fn at(&self, fps: f64) -> Result<Self, Error> {
         let Some(seconds) = self.seconds else {
             return Ok(self.clone());

@@ -11,11 +11,11 @@ use crate::observer::Reading;
 /// The files of one sample.
 #[derive(Clone, Debug)]
 pub struct Sample {
-    /// Suffix that distinguishes it from other samples of the request; empty for a single sample.
+    /// Suffix that distinguishes the sample from others of the request; empty for a single sample.
     pub name: String,
     /// Its files by extension, such as `.npy`; the first is the motion itself.
     pub files: Vec<(&'static str, Contents)>,
-    /// How it was generated.
+    /// The record of the sample's generation.
     pub record: Record,
 }
 
@@ -55,13 +55,13 @@ pub trait SampleSink {
     /// Called with each sample.
     ///
     /// # Errors
-    /// If it cannot be stored, which stops sampling.
+    /// If the sample cannot be stored; sampling then stops.
     fn sample(&mut self, sample: Sample) -> Result<(), Error>;
 
     /// Called before sampling with the names of all samples and the extensions of their files.
     ///
     /// # Errors
-    /// If they cannot be stored, for example because such files exist; sampling does not start.
+    /// If the files cannot be stored, for example because they exist; sampling does not start.
     fn reserve_outputs(&mut self, _names: &Names, _extensions: &[&str]) -> Result<(), Error> {
         Ok(())
     }

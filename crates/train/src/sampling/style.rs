@@ -16,10 +16,10 @@ pub enum Style {
 }
 
 impl Style {
-    /// The style of a text: eight numbers with commas between them, or a label.
+    /// Parses a style: eight numbers with commas between them, or a label.
     ///
     /// # Errors
-    /// [`Error::Usage`] for an empty text, and for numbers that are not eight or not finite.
+    /// [`Error::Usage`] for an empty text, or numbers that are not eight finite numbers.
     pub fn parse(text: &str) -> Result<Self, Error> {
         let parts: Vec<&str> = text.split(',').map(str::trim).collect();
         let numbers: Vec<Option<f64>> = parts.iter().map(|part| part.parse().ok()).collect();

@@ -13,10 +13,10 @@ use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest};
 use crate::memory::must_fit;
 
 impl Systems<'_> {
-    /// The evaluation of a trained model by its system, with its config's text-motion evaluator.
+    /// The evaluation of a trained model, with the text-motion evaluator of the model's config.
     ///
     /// # Errors
-    /// As [`System::evaluate`](super::System::evaluate); if the evaluator cannot be opened.
+    /// As [`System::evaluate`](super::System::evaluate). Fails if the evaluator cannot be opened.
     pub fn evaluate<'m>(
         self,
         trained: &'m TrainedModel,

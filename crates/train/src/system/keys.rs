@@ -33,7 +33,7 @@ const NOT_SET: &str = "not set";
 pub struct Variant {
     /// Its name.
     pub recipe: &'static str,
-    /// The setting that enables it.
+    /// The setting that selects the variant.
     given: Table,
     /// The table with every key.
     complete: Table,

@@ -18,7 +18,7 @@ impl Systems<'_> {
     /// Reads the config at `path` and applies `overrides` of the form `a.b=value` in order.
     ///
     /// # Errors
-    /// Names file and line, or the override, of the fault.
+    /// Names the file and line, or the override, with the fault.
     pub fn load(self, path: &Path, overrides: &[String]) -> Result<Config, ConfigError> {
         self.parse(&read(path)?, &path.display().to_string(), overrides)
     }
@@ -69,7 +69,7 @@ impl Systems<'_> {
         }
         let last = overrides.last().map_or("", String::as_str);
         self.complete(table, &|_| place(last)).map_err(|error| {
-            // The override without which the others are valid.
+            // The override without which the other overrides are valid.
             let is_blamed = |left_out: &usize| {
                 let mut table = before.clone();
                 let others = overrides.iter().enumerate();
@@ -174,8 +174,8 @@ impl Systems<'_> {
         Ok(warnings)
     }
 
-    /// The trained model of the checkpoint `saved`, with `overrides` of sampling and evaluation settings,
-    /// on `device` or its run's device.
+    /// The trained model of the checkpoint `saved`, with `overrides` of sampling and evaluation
+    /// settings. Without `device`, the run's device is used.
     ///
     /// # Errors
     /// If an override is invalid, or the device is not available.
@@ -220,7 +220,7 @@ impl Systems<'_> {
 }
 
 impl dyn System + '_ {
-    /// The checkpoint with the tables of this system deserialised.
+    /// The checkpoint with the tables of this system deserialized.
     ///
     /// # Errors
     /// If the run is of another system, or its config cannot be read by this version.

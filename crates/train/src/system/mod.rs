@@ -38,7 +38,7 @@ pub trait System: Sync {
     /// Its recipes.
     fn recipes(&self) -> &'static [RecipeInfo];
 
-    /// The representations of motion of its models, beside those of other systems.
+    /// The motion representations of the system's models, beyond those of other systems.
     fn representations(&self) -> Vec<Box<dyn Representation>> {
         Vec::new()
     }
@@ -54,7 +54,7 @@ pub trait System: Sync {
     }
 
     /// The keys of the system's own config tables with descriptions, usually
-    /// [`SystemTables::keys`](crate::config::SystemTables::keys). Without them errors and
+    /// [`SystemTables::keys`](crate::config::SystemTables::keys). Without these keys, errors and
     /// `kinegrad config explain` show no descriptions.
     fn keys(&self) -> Vec<Key> {
         Vec::new()
@@ -72,7 +72,7 @@ pub trait System: Sync {
     /// For the first invalid value; the error names the key.
     fn validate(&self, config: &Config) -> Result<Vec<String>, Error>;
 
-    /// The system's own tables, without `evaluation`, that may change after training.
+    /// The system's own tables, except `evaluation`, that may change after training.
     fn tables_of_sampling(&self) -> &'static [&'static str] {
         &[]
     }
@@ -81,7 +81,7 @@ pub trait System: Sync {
     /// checkpoints of `config`.
     ///
     /// # Errors
-    /// If such a checkpoint is missing or damaged.
+    /// If an initial checkpoint is missing or damaged.
     fn inherited(&self, _config: &Config, _saved: Option<&Config>) -> Result<Option<Table>, Error> {
         Ok(None)
     }
@@ -89,18 +89,18 @@ pub trait System: Sync {
     /// Rejects settings that the recipe of a new run does not use.
     ///
     /// # Errors
-    /// Names the first such key.
+    /// Names the first unused key.
     fn must_use(&self, _config: &Config) -> Result<(), Error> {
         Ok(())
     }
 
-    /// Names of the runs that a run trains first, in subfolders of these names.
+    /// Names of the runs that a run trains first; each has a subfolder of its name.
     fn stages(&self) -> &'static [&'static str] {
         &[]
     }
 
-    /// The `saved` config of the run in `folder`, with the paths between [stages](Self::stages) of the
-    /// `given` config, because saved paths are relative to another working directory.
+    /// The `saved` config of the run in `folder`, with the paths between [stages](Self::stages)
+    /// from the `given` config. Saved paths are relative to another working directory.
     ///
     /// # Errors
     /// If the system cannot read its tables.
@@ -114,7 +114,7 @@ pub trait System: Sync {
     /// If a network cannot be built.
     fn parameters(&self, config: &Config) -> Result<ParameterCount, Error>;
 
-    /// The estimated training memory of its networks; by default without activations.
+    /// The estimated training memory of the networks of `config`; by default without activations.
     ///
     /// # Errors
     /// If a network cannot be built.
@@ -136,7 +136,7 @@ pub trait System: Sync {
     /// Converts weights of another program to a run with one checkpoint.
     ///
     /// # Errors
-    /// If they cannot be read or do not match.
+    /// If the weights cannot be read or do not match.
     fn import(&self, request: &ImportRequest) -> Result<Imported, Error> {
         Err(Error::usage(
             format!("the system `{}` imports no weights", self.name()),
@@ -153,16 +153,16 @@ pub trait System: Sync {
         Err(Error::NoAdapters { path: saved.path })
     }
 
-    /// Names of the conditions that a recipe accepts ([`Condition::name`]), and `postprocess` if its samples
-    /// are post-processed; empty for a recipe that does not generate motion.
+    /// Names of the conditions that a recipe accepts ([`Condition::name`]), and `postprocess` if
+    /// its samples are post-processed; empty for a recipe that does not generate motion.
     ///
     /// [`Condition::name`]: crate::sampling::Condition::name
     fn accepts(&self, _recipe: &str) -> &'static [&'static str] {
         &[]
     }
 
-    /// Resolves a request with accepted conditions: reads their files and checks that they fit the model.
-    /// Notes and warnings go to `sink`.
+    /// Resolves a request with accepted conditions: reads the conditions' files and checks that all
+    /// conditions fit the model. Notes and warnings go to `sink`.
     ///
     /// # Errors
     /// If a condition cannot be read or does not fit the model.
@@ -203,7 +203,7 @@ pub trait System: Sync {
     /// Validates the request and prepares the evaluation; called by [`Systems::evaluate`].
     ///
     /// # Errors
-    /// If the request does not fit the model, or without held-out motion.
+    /// If the request does not fit the model, or no motion is held out.
     fn evaluate<'a>(
         &self,
         trained: &'a TrainedModel,
@@ -230,7 +230,7 @@ impl<'a> Systems<'a> {
     /// The representation of an array of this `shape` with these values.
     ///
     /// # Errors
-    /// If no system recognises it; `path` is the file, for the message.
+    /// If no system recognizes it; `path` is the file, for the message.
     pub fn representation_of(
         self,
         path: &Path,

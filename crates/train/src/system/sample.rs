@@ -11,8 +11,8 @@ impl Systems<'_> {
     /// [`Record`](crate::sampling::Record), to `sink`. Returns a summary of all samples.
     ///
     /// # Errors
-    /// If the request is contradictory, a condition is not accepted or cannot be read, or the sink fails;
-    /// [`Error::Interrupted`] if the sink requests a stop.
+    /// If the request is contradictory, a condition is not accepted or cannot be read, or the sink
+    /// fails; [`Error::Interrupted`] if the sink requests a stop.
     pub fn sample(
         self,
         trained: &TrainedModel,
@@ -78,7 +78,7 @@ fn must_accept(system: &dyn System, recipe: &str, request: &Request) -> Result<(
     }
 }
 
-/// Names of the samples: those of held-out items are their ids.
+/// Names of the samples; a sample for a held-out item has the item's id.
 fn names(sampler: &dyn Sampler, request: &Request) -> Names {
     let (jobs, held_out) = (sampler.jobs(), request.held_out_items().is_some());
     if sampler.is_one_batch() {

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::Error;
 
-/// A file that grows at its end.
+/// A file with an append-only writer.
 #[derive(Debug)]
 pub(super) struct Appended {
     file: File,

@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::appended::{Appended, now};
 use crate::Error;
 
-/// Writer of `loader.jsonl`: loading statistics. They depend on timing and cache contents, so they are
+/// Writer of `loader.jsonl`. Loading statistics depend on timing and cache contents, so they are
 /// not part of the metrics, which a resumed run must reproduce.
 #[derive(Debug)]
 pub(crate) struct LoaderLog {
@@ -15,14 +15,14 @@ pub(crate) struct LoaderLog {
     last: (Instant, LoaderReport),
 }
 
-/// One line. Counts are since the process opened the dataset.
+/// One line. Counts start when the process opens the dataset.
 #[derive(Serialize)]
 struct Line {
     step: u64,
     time: f64,
     /// Training samples per second since the previous line.
     samples_per_second: f64,
-    /// Share of that time spent waiting for samples.
+    /// Share of time spent waiting for samples.
     wait_share: f64,
     #[serde(flatten)]
     report: LoaderReport,

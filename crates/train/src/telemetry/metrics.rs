@@ -16,7 +16,7 @@ const FILE: &str = "metrics.jsonl";
 /// One line of metrics: a step and named scalars, in the order they were added.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Record {
-    /// Optimiser steps done.
+    /// Optimizer steps done.
     pub step: u64,
     /// Named scalars.
     pub scalars: Vec<(String, f64)>,
@@ -48,7 +48,7 @@ impl Record {
 /// Writer of `metrics.jsonl` and the event file.
 ///
 /// Only `time` (seconds since 1970), `elapsed_seconds` (of this process) and `steps_per_second` of
-/// a line depend on the clock; the rest is a function of config, data and build.
+/// a line depend on the clock; all other values depend on config, data and build.
 #[derive(Debug)]
 pub(crate) struct Metrics {
     file: Appended,
@@ -58,8 +58,9 @@ pub(crate) struct Metrics {
 }
 
 impl Metrics {
-    /// Opens the metrics of the run in `folder`, truncated after `step`: later lines are of a process that
-    /// ended before its checkpoint. Earlier damaged lines stay and are reported to `warn`.
+    /// Opens the metrics of the run in `folder`, truncated after `step`, because later lines come
+    /// from a process that ended before its checkpoint. Earlier damaged lines stay and are reported
+    /// to `warn`.
     pub(crate) fn open(
         folder: &Path,
         step: u64,
@@ -124,8 +125,9 @@ impl Metrics {
 /// Longest line that is read.
 const MAX_LINE: u64 = 1 << 20;
 
-/// Calls `take` with each complete line of the file at `path` and its number, from 1, until it returns
-/// false. An incomplete last line is of a process that was killed or is still writing.
+/// Calls `take` with each complete line of the file at `path` and the line number, from 1, until
+/// `take` returns false. An incomplete last line comes from a process that was killed or is still
+/// writing.
 fn each_line(path: &Path, mut take: impl FnMut(&[u8], usize) -> bool) -> io::Result<()> {
     regular(path)?;
     let mut reader = BufReader::new(File::open(path)?);
@@ -141,7 +143,7 @@ fn each_line(path: &Path, mut take: impl FnMut(&[u8], usize) -> bool) -> io::Res
     Ok(())
 }
 
-/// Length of the complete lines up to `step`, and the damaged ones among them.
+/// Length of the complete lines up to `step`, and the damaged lines among them.
 fn valid_bytes(path: &Path, step: u64) -> Result<(u64, DamagedLines), Error> {
     let (mut length, mut damaged) = (0, DamagedLines::default());
     let take = |bytes: &[u8], number: usize| {
@@ -168,7 +170,7 @@ const NAMED: usize = 5;
 /// The damaged lines of a file.
 #[derive(Default)]
 struct DamagedLines {
-    /// Numbers of the first ones, from 1.
+    /// Numbers of the first damaged lines, from 1.
     named: Vec<String>,
     count: usize,
 }

@@ -9,19 +9,20 @@ use crate::{Error, Preview};
 
 /// A TensorBoard event file with scalars and images.
 ///
-/// The file is a sequence of records: length (u64), masked CRC-32C of the length, the bytes,
-/// masked CRC-32C of the bytes; all little-endian. The bytes are a protocol-buffer `Event` with
-/// `wall_time` (field 1, double), `step` (2, varint), `file_version` (3, in the first record
-/// only) and `summary` (5), whose `value` entries (1) contain `tag` (1) and `simple_value` (2, float) or
-/// `image` (4): `height` (1), `width` (2), `colorspace` (3) and `encoded_image_string` (4).
+/// The file is a sequence of records: length (u64), masked CRC-32C of the length, the bytes, masked
+/// CRC-32C of the bytes; all little-endian. The bytes are a protocol-buffer `Event` with
+/// `wall_time` (field 1, double), `step` (2, varint), `file_version` (3, in the first record only)
+/// and `summary` (5). The `value` entries (1) of a summary contain `tag` (1) and `simple_value` (2,
+/// float) or `image` (4): `height` (1), `width` (2), `colorspace` (3) and `encoded_image_string`
+/// (4).
 #[derive(Debug)]
 pub(super) struct EventFile {
     file: Appended,
 }
 
 impl EventFile {
-    /// Opens the file at `path` for appending, truncated after `step`; a new file gets its first record.
-    /// The file is truncated at a damaged event, which is reported to `warn`.
+    /// Opens the file at `path` for appending, truncated after `step`; a new file gets its first
+    /// record. The file is truncated at a damaged event, which is reported to `warn`.
     pub(crate) fn open(path: &Path, step: u64, warn: &mut dyn FnMut(&str)) -> Result<Self, Error> {
         let read = || match step {
             0 => Ok(ValidPrefix::default()),
@@ -148,7 +149,7 @@ const MAX_EVENT_BYTES: u64 = 16 << 20;
 struct ValidPrefix {
     /// Length of the complete records up to a step.
     bytes: u64,
-    /// True if it ends at a damaged record. A truncated record is from a process that was killed.
+    /// True if the prefix ends at a damaged record. A truncated record comes from a killed process.
     damaged: bool,
 }
 
@@ -279,7 +280,7 @@ mod tests {
             .expect("an event");
         assert_eq!(steps(&path), [0, 1, 200, 201]);
 
-        // Of the event of step 1, whose record follows the first of 16 and 14 bytes.
+        // A bit of the event of step 1, whose record follows the first of 16 and 14 bytes.
         let mut flipped = std::fs::read(&path).expect("bytes");
         flipped[45] ^= 1;
         std::fs::write(&path, flipped).expect("written");

@@ -1,4 +1,4 @@
-//! CLIP's text encoder, read from a local folder, which embeds the texts for models of clips.
+//! CLIP's text encoder, read from a local folder, for models of clips.
 
 mod tokenizer;
 
@@ -34,12 +34,13 @@ pub struct TextEncoder {
 }
 
 impl TextEncoder {
-    /// Reads the encoder in `folder` onto `device`, which has no gradients. The folder is as on the model
-    /// hub: `config.json`, `model.safetensors` (or `pytorch_model.bin`), and `vocab.json` with
-    /// `merges.txt`, or `tokenizer.json`.
+    /// Reads the encoder in `folder` onto `device`, which has no gradients. The folder has the
+    /// layout of the model hub: `config.json`, `model.safetensors` (or `pytorch_model.bin`), and
+    /// `vocab.json` with `merges.txt`, or `tokenizer.json`.
     ///
     /// # Errors
-    /// [`Error::TextEncoder`] and [`Error::ForeignWeights`] for missing files or another network.
+    /// [`Error::TextEncoder`] and [`Error::ForeignWeights`] for missing files or weights of another
+    /// network.
     pub fn read(folder: &Path, device: &Device) -> Result<Self, Error> {
         if !folder.is_dir() {
             let reason = match folder.exists() {
@@ -86,10 +87,11 @@ impl TextEncoder {
         self.tokenizer.tokens(text, MAX_WORD_TOKENS)
     }
 
-    /// The embeddings of `texts`, 512 values each, not normalised. `progress` gets the number done.
+    /// The embeddings of `texts`, 512 values each, not normalized. `progress` gets the number of
+    /// finished texts.
     ///
     /// # Errors
-    /// As [`tokens`](Self::tokens), and [`Error::Interrupted`] if `progress` requests it.
+    /// As [`tokens`](Self::tokens), and [`Error::Interrupted`] if `progress` requests a stop.
     pub fn embed(
         &self,
         texts: &[&str],

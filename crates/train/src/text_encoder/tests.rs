@@ -3,8 +3,7 @@ use std::path::{Path, PathBuf};
 
 use super::*;
 
-/// The fixture, or a folder that `scripts/peer/clip_fixtures.py` has written, which
-/// `KINEGRAD_CLIP` names.
+/// The fixture, or the folder in `KINEGRAD_CLIP`, which `scripts/peer/clip_fixtures.py` writes.
 fn folder() -> PathBuf {
     match std::env::var_os("KINEGRAD_CLIP") {
         Some(folder) => folder.into(),
@@ -30,7 +29,7 @@ fn no_progress(_: usize) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
 
-/// A copy of the fixture that is changed.
+/// A changed copy of the fixture.
 fn changed(change: impl FnOnce(&Path)) -> tempfile::TempDir {
     let copy = tempfile::tempdir().expect("a folder");
     let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data_fixtures/clip");
@@ -135,7 +134,7 @@ fn other_layouts_of_the_same_encoder_are_read() {
         fs::write(path, all.to_string()).expect("written");
     });
     assert_eq!(embedded(beside.path()), expected);
-    // Another activation is another network.
+    // Another activation gives other embeddings.
     let gelu = changed(|folder| {
         let path = folder.join("config.json");
         let text = fs::read_to_string(&path).expect("a config");

@@ -12,7 +12,7 @@ use unicode_normalization::UnicodeNormalization as _;
 use super::{json_of, refused};
 use crate::error::Error;
 
-/// Bytes of the longest text: merging the pairs of a word takes its length squared.
+/// Maximum size of a text, bytes, because merging takes quadratic time in the length of a word.
 const MAX_TEXT: usize = 4096;
 
 /// Number of tokens that are not merges: the bytes, within and at the end of a word.
@@ -127,7 +127,7 @@ impl Vocabulary {
         let pairs = model["merges"].as_array();
         let pairs = pairs.ok_or_else(|| refused(&single, "it has no `model.merges`"))?;
         let pairs = pairs.iter().map(|pair| {
-            // A text in older files, a list of two in newer ones.
+            // A pair is a string in older files and a list of two strings in newer files.
             let read = match pair {
                 Value::String(line) => pair_of(line),
                 other => serde_json::from_value(other.clone()).ok(),

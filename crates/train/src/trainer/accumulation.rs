@@ -24,7 +24,8 @@ pub(super) struct Averaged {
 #[derive(Default)]
 struct Measured {
     /// The weight of the first micro-batch of the step. One batch is in memory at a time, so the
-    /// total weight is known after the last; until then weights are relative to the first.
+    /// total weight is known after the last batch. Until then weights are relative to the first
+    /// batch.
     first_weight: f64,
     /// Names of the terms of the loss.
     names: Vec<&'static str>,
@@ -97,8 +98,9 @@ impl<R: Recipe> Trainer<R> {
         }))
     }
 
-    /// The weighted gradients of a range of micro-batches, added according to [`split`]; `batch` is the
-    /// first if already loaded. `None` if a stop was requested before the last.
+    /// The weighted gradients of a range of micro-batches, added according to [`split`]; `batch` is
+    /// the first micro-batch if already loaded. `None` if a stop was requested before the last
+    /// micro-batch.
     fn summed(
         &mut self,
         range: Range<u64>,
@@ -111,7 +113,7 @@ impl<R: Recipe> Trainer<R> {
             let stop = || observer.stop_requested();
             let batch = match batch {
                 Some(batch) => Some(batch),
-                // A long step is not finished; resuming repeats it.
+                // A stop abandons a long step; resuming repeats the step.
                 None if stop() => None,
                 None => self.parts.loader.next_unless(&stop)?,
             };
@@ -167,7 +169,7 @@ impl<R: Recipe> Trainer<R> {
         let on_device = self.states.on_device();
         let (gradients, values) = StepGradients::of(sum, model, values, on_device, &device);
         if !values[0].is_finite() {
-            // The tensors were not stored; the same random inputs reproduce them.
+            // The same random inputs reproduce the tensors, which were not stored.
             let again = precision.scope(|| recipe.loss(model, batch, key, &self.parts.device));
             let tensor = find_not_finite(model, batch, again);
             return Err(self.not_finite(self.step + 1, tensor));

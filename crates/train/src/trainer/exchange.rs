@@ -1,4 +1,4 @@
-//! The exchange of a step: gradients, and with sharded optimiser state also new weights.
+//! The exchange of a step: gradients, and with sharded optimizer state also new weights.
 
 use std::ops::Range;
 
@@ -25,8 +25,8 @@ pub(super) struct Exchange {
 }
 
 impl Exchange {
-    /// The exchange of parameters with these lengths, 0 for frozen ones. Each rank adds up the parameters
-    /// that it owns or, without owners, an equal share of the elements.
+    /// The exchange of parameters with these lengths, 0 for frozen parameters. Each rank adds up
+    /// its own parameters or, without owners, an equal share of the elements.
     pub fn new(ranks: &dyn Ranks, lengths: &[usize], owners: Option<Owners>) -> Self {
         let mut places = vec![0..0; lengths.len()];
         let mut end = 0;

@@ -1,4 +1,4 @@
-//! The gradient of a step, in the optimiser's memory.
+//! The gradient of a step, in the optimizer's memory.
 
 use std::rc::Rc;
 
@@ -24,7 +24,8 @@ pub(super) enum StepGradients {
 }
 
 impl StepGradients {
-    /// The gradients of `model`, with the layout `on_device` or in main memory, and `numbers`.
+    /// The gradients of `model`, on the device with a layout and otherwise in main memory, and
+    /// `numbers`.
     pub fn of<M: Module>(
         sum: GradientSum,
         model: &M,
@@ -143,7 +144,7 @@ mod tests {
             let data = TensorData::new(values.clone(), [values.len()]);
             Some(Tensor::from_data(data, &device))
         });
-        // The last has a separate row.
+        // The last parameter has a separate row.
         let layout = Layout::new(&lengths, |index| index == 3);
         let rows = Rows::joined(&layout, &tensors.collect::<Vec<_>>(), &device);
         let sum = |squares: Vec<f64>| squares.iter().sum::<f64>();

@@ -1,12 +1,12 @@
-//! Sharding of optimiser states over ranks (ZeRO-1, Rajbhandari et al. 2020,
-//! <https://arxiv.org/abs/1910.02054>), by parameter, so that norms are added in the same order as in one
-//! process.
+//! Sharding of optimizer states over ranks (ZeRO-1, Rajbhandari et al. 2020,
+//! <https://arxiv.org/abs/1910.02054>). A rank owns whole parameters, so that norms are added in
+//! the same order as in one process.
 
 use std::cmp::Reverse;
 
 use kinegrad_ranks::{Ranks, Receivers};
 
-/// The rank with the optimiser state and moving average of each parameter.
+/// The rank with the optimizer state and moving average of each parameter.
 #[derive(Clone, Debug)]
 pub(super) struct Owners {
     rank: usize,
@@ -18,7 +18,7 @@ pub(super) struct Owners {
 }
 
 impl Owners {
-    /// The owners of parameters with these lengths: the longest first, to the rank with the least load.
+    /// Assigns parameters of these lengths, longest first, to the rank with the least load.
     pub fn new(ranks: &dyn Ranks, lengths: Vec<usize>) -> Self {
         let size = ranks.size();
         let mut order: Vec<usize> = (0..lengths.len()).collect();
@@ -53,7 +53,8 @@ impl Owners {
         (0..self.of.len()).filter(move |&index| self.of[index] == rank)
     }
 
-    /// Gathers the tensors of all ranks; a rank that does not receive gets only frozen ones. Collective.
+    /// Gathers the tensors of all ranks; a rank that does not receive gets only frozen tensors.
+    /// Collective.
     pub fn gathered<'a>(
         &self,
         ranks: &dyn Ranks,

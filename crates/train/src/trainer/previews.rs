@@ -12,9 +12,9 @@ impl<R: Recipe> Trainer<R> {
         every > 0 && self.step > 0 && self.step.is_multiple_of(every)
     }
 
-    /// Lets the observer sample from this step's checkpoint and records the pictures, unless they `exist`.
-    /// If sampling fails, training continues; before a stop, sampling is left to the resumed run. The first
-    /// rank samples, and all ranks get the outcome.
+    /// Lets the observer sample from this step's checkpoint and records the pictures, unless the
+    /// pictures `exist`. If sampling fails, training continues. If a stop is requested, the resumed
+    /// run samples. The first rank samples, and all ranks get the outcome.
     pub(super) fn preview(
         &mut self,
         exist: bool,

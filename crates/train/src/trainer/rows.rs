@@ -1,5 +1,5 @@
-//! Parameters concatenated to rows on a device, because one long operation is faster than hundreds of
-//! short ones.
+//! Parameters concatenated to rows on a device, because one long operation is faster than hundreds
+//! of short ones.
 
 use std::collections::BTreeMap;
 use std::ops::Range;

@@ -33,7 +33,7 @@ impl<'a, R: Recipe> Saving<'a, R> {
         );
     }
 
-    /// Writes the optimiser's running means.
+    /// Writes the optimizer's running means.
     pub fn moments(&mut self, moments: &[Moments]) {
         let infos = &self.trainer.infos;
         self.write(
@@ -42,7 +42,7 @@ impl<'a, R: Recipe> Saving<'a, R> {
         );
     }
 
-    /// Writes a finite part, on the first rank and unless an earlier part failed.
+    /// Writes a part with finite values on the first rank, unless an earlier part failed.
     fn write(
         &mut self,
         broken: impl FnOnce() -> Option<String>,
@@ -60,7 +60,7 @@ impl<'a, R: Recipe> Saving<'a, R> {
         }
     }
 
-    /// Finishes it, records the best step and removes older checkpoints.
+    /// Finishes the checkpoint, records the best step and removes older checkpoints.
     pub fn finish(self) -> Result<(), Error> {
         let Self { trainer, written } = self;
         let Some(unfinished) = written? else {

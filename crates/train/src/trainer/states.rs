@@ -1,4 +1,4 @@
-//! The mutable state of training: weights, optimiser moments and moving average, in main memory or
+//! The mutable state of training: weights, optimizer moments and moving average, in main memory or
 //! on the device of the networks.
 
 use std::borrow::Cow;
@@ -22,7 +22,7 @@ use crate::optim::{AdamW, Moments};
 use crate::parameter_count::is_adapter;
 use crate::recipe::Recipe;
 
-/// The optimiser and the moving average with their states.
+/// The optimizer and the moving average with their states.
 pub(super) struct States {
     optimizer: AdamW,
     ema: EmaConfig,
@@ -45,7 +45,7 @@ struct OnHost {
     averages: Vec<Vec<f32>>,
     /// The owners of sharded states.
     owners: Option<Owners>,
-    /// The weights, if the networks are on another device, to which they are only copied.
+    /// The weights, if the networks are on another device, which gets copies.
     weights: Option<Vec<Vec<f32>>>,
 }
 
@@ -60,8 +60,8 @@ struct OnDevice {
 }
 
 impl States {
-    /// The states of `model` at step 0 or of the checkpoint, whose weights it has.
-    /// `groups` has the optimiser group of each parameter.
+    /// The states of `model` at step 0 or of the checkpoint that `model` was loaded from. `groups`
+    /// has the optimizer group of each parameter.
     pub fn new<R: Recipe>(
         model: &R::Model,
         checkpoint: Option<Checkpoint>,
@@ -244,7 +244,7 @@ impl States {
         }
     }
 
-    /// The optimiser's running means of all parameters, on the ranks that receive them. Collective.
+    /// The optimizer's running means of all parameters, on the ranks that receive them. Collective.
     pub fn moments(&self, ranks: &dyn Ranks, to: Receivers) -> Cow<'_, [Moments]> {
         let [exp_avg, exp_avg_sq] = match &self.storage {
             Storage::Host(states) => {

@@ -57,7 +57,7 @@ impl Observer for Watching {
     }
 }
 
-/// Report and weights of a step on three phrases of 9, 4 and 12 frames, in so many batches.
+/// Report and weights of a step on three phrases of 9, 4 and 12 frames, in `batches` batches.
 fn step_in(batches: usize) -> (StepReport, Vec<Vec<f32>>) {
     let mut trainer = trainer(batches);
     let step = trainer.train_step(&mut Watching::default());
@@ -66,13 +66,13 @@ fn step_in(batches: usize) -> (StepReport, Vec<Vec<f32>>) {
     (report, weights)
 }
 
-/// A trainer whose steps are so many batches of three phrases of 9, 4 and 12 frames.
+/// A trainer whose steps have `batches` batches of three phrases of 9, 4 and 12 frames.
 fn trainer(batches: usize) -> Trainer<Squares> {
     trainer_with(batches, "host", true)
 }
 
-/// The same, with the optimiser's states in a given memory and on a device that reports main
-/// memory.
+/// A [`trainer`] with the optimizer's states in a given memory. With `on_host`, its device reports
+/// main memory.
 fn trainer_with(batches: usize, states: &str, on_host: bool) -> Trainer<Squares> {
     let overrides = [
         format!("data.batch_size={}", 3 / batches),
@@ -122,7 +122,7 @@ fn a_stop_between_the_batches_of_a_step_leaves_the_weights() {
     let step = stopped.train_step(&mut Watching(true)).unwrap();
     assert!(step.is_none() && stopped.step == 0);
     assert_eq!(weights(&stopped), before);
-    // A step of one batch is done.
+    // A step of one batch is finished despite the stop.
     let mut whole = trainer(1);
     assert!(whole.train_step(&mut Watching(true)).unwrap().is_some());
     assert_ne!(weights(&whole), before);
@@ -151,7 +151,7 @@ fn states_are_moved_alike_in_either_place() {
     };
     for batches in [1, 3] {
         let (report, reference) = after(batches, "auto", true);
-        // Weights that go to another device, from the copy in main memory.
+        // The copy in main memory updates weights on another device.
         let (_, copied) = after(batches, "host", false);
         assert_eq!(copied, reference);
         let (other, found) = after(batches, "device", false);
