@@ -9,8 +9,8 @@ use crate::{KeyRanges, Lengths};
 /// `softmax(queries keys^T / sqrt(head channels)) values` for each head. The channels of a head are
 /// contiguous; `keys_values` contains the keys, then the values.
 ///
-/// With `lengths`, each sample attends to its first keys, by their number. The CPU stores no scores
-/// for the backward pass.
+/// With `lengths`, the queries of a sample attend to valid keys only. The CPU stores no scores for
+/// the backward pass.
 ///
 /// # Shapes
 /// - queries, output: `[batch, channels, time]`

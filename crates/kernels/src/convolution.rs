@@ -88,8 +88,8 @@ impl Convolution {
         }
     }
 
-    /// Repeats every input frame twice, then keeps the first `frames`: twice the input's, or one
-    /// less. Excludes [`norm`](Self::norm).
+    /// Repeats every input frame twice, then keeps the first `frames`: twice the input's frames, or
+    /// one frame less. Excludes [`norm`](Self::norm).
     pub fn upsample(self, frames: usize) -> Self {
         Self {
             upsample: Some(frames),

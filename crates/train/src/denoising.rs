@@ -97,7 +97,7 @@ impl Conditions {
     }
 }
 
-/// The dropout masks of the style, `[batch, 1, 1]` each: 0 drops it.
+/// The dropout masks of the style, `[batch, 1, 1]` each: 0 drops the style.
 #[derive(Clone, Debug)]
 pub struct StyleDropoutMask {
     /// The eight numbers.
@@ -142,7 +142,7 @@ pub struct RandomInputs {
     pub timesteps: Vec<usize>,
     /// Standard normal: `[batch, channels, time]`.
     pub noise: Tensor<3>,
-    /// 0 drops the condition, 1 keeps it: `[batch, 1, 1]`. `None` drops nothing.
+    /// 0 drops the condition, 1 keeps the condition: `[batch, 1, 1]`. `None` drops nothing.
     pub condition_dropout_mask: Option<Tensor<3>>,
     /// The dropout mask of the style. `None` drops nothing.
     pub style_dropout_mask: Option<StyleDropoutMask>,

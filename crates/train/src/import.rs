@@ -28,7 +28,7 @@ pub struct ImportRequest {
     pub projection: Option<PathBuf>,
     /// Frames that the network pads every clip to.
     pub padded_frames: usize,
-    /// Import the weights of the last step instead of their moving average.
+    /// Import the weights of the last step instead of the moving average.
     pub last: bool,
     /// Settings of the new run, `KEY=VALUE`.
     pub overrides: Vec<String>,

@@ -31,7 +31,7 @@ pub trait Observer {
     /// A warning that does not stop the run.
     fn warning(&mut self, text: &str);
     /// Returns a callback for the progress of opening the dataset and measuring its statistics.
-    /// Several threads call it with items read and total items. `Break` ends the run with
+    /// Several threads call the callback with items read and total items. `Break` ends the run with
     /// [`Error::Interrupted`].
     fn reading(&self) -> Box<Reading> {
         Box::new(|_, _| ControlFlow::Continue(()))
@@ -60,7 +60,7 @@ pub struct StepReport {
     pub step: u64,
     /// Steps in total.
     pub max_steps: u64,
-    /// Loss, averaged over the micro-batches by their weight.
+    /// Loss, averaged over the micro-batches by weight.
     pub loss: f64,
     /// Learning rate of the first group.
     pub learning_rate: f64,

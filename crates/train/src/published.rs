@@ -43,7 +43,7 @@ pub fn read_tensors(path: &Path) -> Result<BTreeMap<String, Tensor>, Error> {
 /// Limit on the total size of tensors with shared storage, in file sizes.
 const SHARED: u64 = 4;
 
-/// The tensors below `part`, by the rest of their names.
+/// The tensors below `part`, named without the prefix `part`.
 pub fn part_of(tensors: &BTreeMap<String, Tensor>, part: &str) -> BTreeMap<String, Tensor> {
     let inside = tensors.iter().filter_map(|(name, tensor)| {
         let name = name.strip_prefix(part)?.strip_prefix('.')?;
@@ -52,7 +52,7 @@ pub fn part_of(tensors: &BTreeMap<String, Tensor>, part: &str) -> BTreeMap<Strin
     inside.collect()
 }
 
-/// Replaces every parameter of `module` by the tensor of its name, read from the file at `path`.
+/// Replaces every parameter of `module` by the tensor of that name in the file at `path`.
 ///
 /// # Errors
 /// [`Error::ForeignWeights`] with all differences.

@@ -13,9 +13,9 @@ use crate::error::Error;
 /// A training recipe of a system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RecipeInfo {
-    /// Its name, the value of `train.recipe`, unique across systems.
+    /// Name of the recipe, the value of `train.recipe`, unique across systems.
     pub name: &'static str,
-    /// Its parameter groups, each with its own learning rate (`optim.groups`).
+    /// Parameter groups, each with its own learning rate (`optim.groups`).
     pub groups: &'static [&'static str],
 }
 
@@ -99,7 +99,8 @@ pub trait Recipe {
         false
     }
 
-    /// The weight of `batch` in the gradient average of a step, by default its valid frames.
+    /// The weight of `batch` in the gradient average of a step, by default the number of valid
+    /// frames.
     fn weight(&self, batch: &Batch) -> f64 {
         batch.mask.iter().map(|&valid| f64::from(valid)).sum()
     }

@@ -241,7 +241,7 @@ impl<R: Recipe> Trainer<R> {
         patience > 0 && self.progress.validations_since_best >= patience
     }
 
-    /// One step; `None` if a stop was requested while waiting for data or between its batches.
+    /// One step; `None` if a stop was requested while waiting for data or between micro-batches.
     pub(crate) fn train_step(
         &mut self,
         observer: &mut dyn Observer,

@@ -66,8 +66,8 @@ pub(crate) struct Columns<'a> {
     pub first: usize,
 }
 
-/// Maximum number of scores in memory per thread: those of a thousand frames. Tests set it lower to
-/// use parts too.
+/// Maximum number of scores in memory per thread: those of a thousand frames. The value is lower in
+/// tests, so that tests use parts too.
 const MOST_SCORES: usize = if cfg!(test) { 256 } else { 1 << 20 };
 
 /// Minimum number of queries of a part with narrow ranges.

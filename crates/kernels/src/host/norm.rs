@@ -134,7 +134,7 @@ fn affine(task: ColumnTask, channels: usize, norm: &Norm<'_>) -> Affine {
     affine
 }
 
-/// Factor and shift of FiLM; 1 and 0 without it.
+/// Factor and shift of FiLM; 1 and 0 without FiLM.
 fn film(sample: usize, channel: usize, channels: usize, film: Option<&[f32]>) -> (f32, f32) {
     match film {
         Some(film) => {

@@ -1,7 +1,7 @@
 //! Packed weights that products reuse.
 //!
-//! With few rows, packing a weight takes about as long as multiplying it. A sampler that calls a
-//! small network repeatedly reuses the packed weights.
+//! With few rows, packing a weight takes about as long as the product. A sampler that calls a small
+//! network repeatedly reuses the packed weights.
 
 use std::any::Any;
 use std::cell::RefCell;

@@ -42,7 +42,7 @@ proptest! {
         element in any::<usize>(),
         value in prop_oneof![Just(f32::NAN), Just(f32::INFINITY), Just(f32::NEG_INFINITY)],
     ) {
-        // Kernels do not read padding; the composed operations multiply it by zero.
+        // Kernels do not read padding; the composed operations multiply padding by zero.
         let mut case = Case { padded: false, ..case };
         if let Operation::CrossAttention { reach, .. } = &mut case.operation {
             *reach = None;

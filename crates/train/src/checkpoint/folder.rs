@@ -118,8 +118,8 @@ impl Checkpoints {
         flush_folder(&self.path)
     }
 
-    /// Removes unfinished files and old checkpoints. Prune keeps the newest `keep_last`, the best,
-    /// and those after `current`, which a resumed run has not reached again.
+    /// Removes unfinished files and old checkpoints. The newest `keep_last`, the best, and
+    /// checkpoints after `current`, which a resumed run has not reached again, are kept.
     pub(crate) fn prune(
         &self,
         current: u64,

@@ -43,7 +43,7 @@ pub struct Best {
 }
 
 impl Progress {
-    /// The best step, once there is one.
+    /// The best step, if a validation has run.
     pub fn best(&self) -> Option<Best> {
         Some(Best {
             step: self.best_step?,
@@ -58,7 +58,7 @@ impl Progress {
 pub struct State {
     /// Version of the layout, [`FORMAT`].
     pub format: u32,
-    /// Version of kinegrad that wrote it.
+    /// Version of kinegrad that wrote the checkpoint.
     pub kinegrad: String,
     /// Optimizer steps done.
     pub step: u64,

@@ -140,7 +140,7 @@ pub(super) fn read(path: &Path, state: &State, file: &str) -> Result<Vec<HostPar
             Ok(HostParameter { info, values })
         })
         .collect::<Result<Vec<_>, Error>>()?;
-    // The library returns them in any order.
+    // The library returns the tensors in any order.
     parameters.sort_by(|a, b| a.info.name.cmp(&b.info.name));
     Ok(parameters)
 }

@@ -153,7 +153,7 @@ impl TextInput {
 /// Rejects clips whose captions a model with this `input` does not know.
 ///
 /// # Errors
-/// [`Error::Usage`] with the first such clip and the known captions.
+/// [`Error::Usage`] with the first rejected clip and the known captions.
 pub fn must_know_texts(input: &TextInput, clips: &[Arc<Clip>]) -> Result<(), Error> {
     for clip in clips {
         if let Some(text) = ClipText::of(clip) {

@@ -95,12 +95,11 @@ pub trait TextMotionEvaluator {
     /// from that of the statistics.
     fn motion_embeddings(&self, clips: &[&Features]) -> Result<Vec<Vec<f64>>, Error>;
 
-    /// The embedding of each caption, `[captions, width]`, computed from its first words.
+    /// The embedding of each caption, `[captions, width]`, computed from the caption's first words.
     fn text_embeddings(&self, captions: &[&[Token]]) -> Vec<Vec<f64>>;
 
-    /// Evaluates generated clips, with the captions of `clips`. Each generated clip has the length
-    /// of the `real` clip at its index. `seed` selects the pools for ranking captions and the pairs
-    /// for diversity.
+    /// Evaluates generated clips, with the captions of `clips`. Generated clip i has the length of
+    /// `real` clip i. `seed` selects the pools for ranking captions and the pairs for diversity.
     ///
     /// # Errors
     /// If the layout of the features differs from the evaluator's.

@@ -26,7 +26,7 @@ use crate::TrainedModel;
 use crate::error::Error;
 use crate::sampling::{Request, SampleSink};
 
-/// `own`, or the dataset of clips at `source` with the held-out clips that its lists define.
+/// `own`, or the dataset of clips at `source`; the lists of the dataset define held-out clips.
 pub(crate) fn dataset_or(own: &DataConfig, source: Option<&str>) -> DataConfig {
     match source {
         None => own.clone(),

@@ -118,7 +118,7 @@ pub struct TimedPrompt {
 }
 
 impl TimedPrompt {
-    /// The texts of a motion with their first frames, for its record.
+    /// The texts of a motion with their first frames, for the motion's record.
     pub fn records(prompts: &[Self]) -> Vec<PromptRecord> {
         let mut from = 0;
         let record = |prompt: &Self| {

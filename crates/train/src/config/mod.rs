@@ -59,7 +59,7 @@ pub struct Config {
     pub train: TrainConfig,
     /// The moving average of the weights.
     pub ema: EmaConfig,
-    /// When to save and what to keep.
+    /// Saving of checkpoints and the number to keep.
     pub checkpoint: CheckpointConfig,
     /// Validation on held-out motion.
     pub validation: ValidationConfig,

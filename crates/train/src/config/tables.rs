@@ -187,7 +187,7 @@ impl Default for TrainConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct EmaConfig {
-    /// Decay of the average; 0 makes it a copy of the weights.
+    /// Decay of the average; with 0, the average is a copy of the weights.
     pub decay: f64,
     /// Optimizer steps between updates.
     pub update_every: u64,
@@ -215,9 +215,10 @@ impl Default for EmaConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CheckpointConfig {
-    /// Steps between checkpoints; one is also written at the end and at each best validation.
+    /// Steps between checkpoints; training also writes a checkpoint at the end and at each best
+    /// validation.
     pub every_steps: u64,
-    /// Number of latest checkpoints to keep, in addition to the best one.
+    /// Number of latest checkpoints to keep, in addition to the best checkpoint.
     pub keep_last: usize,
 }
 
@@ -323,7 +324,8 @@ impl ClipSample {
     }
 }
 
-/// The table `sampling`: sampler settings of the run, for samples at its end and `kinegrad sample`.
+/// The table `sampling`: sampler settings of the run, for samples at the run's end and
+/// `kinegrad sample`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SamplingConfig {

@@ -63,8 +63,7 @@ fn must_hold_out<T: Item>(
     Err(Error::usage(message, hint))
 }
 
-/// A note if fewer clips are held out (`found`) than goals or rollouts are `wanted`. `name` names
-/// goals or rollouts.
+/// A note if fewer clips are held out (`found`) than `wanted` goals or rollouts, called `name`.
 pub fn note_if_fewer(
     found: usize,
     wanted: usize,

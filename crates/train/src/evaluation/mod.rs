@@ -48,7 +48,7 @@ pub struct Evaluation<'a> {
 pub struct Results {
     /// The report without run, seed and step: a JSON object.
     pub json: Value,
-    /// Counts by name, of the samples and of real motion; `None` if not applicable.
+    /// Counts of the samples and of real motion, by name; `None` if not applicable.
     pub facts: Vec<(&'static str, [Option<u64>; 2])>,
     /// The metrics of the samples; `None` for a model that does not generate motion.
     pub samples: Option<Vec<Group>>,

@@ -29,7 +29,7 @@ pub fn replicate<T>(
 /// The means of replicated reports, with the half-width of each 95 % interval.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Replicated<T> {
-    /// The mean of each metric. Counts are those of the first report.
+    /// The mean of each metric, and the counts of the first report.
     #[serde(flatten)]
     pub mean: T,
     /// The [`replication_interval`] of each metric; `None` for a single report.

@@ -17,7 +17,7 @@ pub struct Column {
 pub struct Group {
     /// Its name in files.
     pub key: &'static str,
-    /// Its heading in tables; empty if there is only one group.
+    /// Heading of the group in tables; empty if a table has only one group.
     pub title: &'static str,
     /// The numbers.
     pub numbers: Vec<Number>,
@@ -41,7 +41,7 @@ pub struct Number {
     pub name: String,
     /// `None` if the number cannot be computed.
     pub value: Option<f64>,
-    /// Its row in tables: a title and the number as text; `None` for files only.
+    /// Row of the number in tables: a title and the number as text; `None` for files only.
     pub line: Option<(String, Option<String>)>,
 }
 

@@ -20,7 +20,7 @@ enum Status {
     Continues = 0,
     Stops = 1,
     Failed = 2,
-    /// Its data failed, so progress should be saved.
+    /// The rank's data failed, so progress should be saved.
     FailedData = 3,
 }
 
@@ -37,7 +37,7 @@ pub struct ProcessGroup {
     saves_progress: Cell<bool>,
 }
 
-/// The kind of a message between ranks, its first byte.
+/// The kind of a message between ranks, stored in the message's first byte.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Tag {
     Outcome = 1,
@@ -224,7 +224,7 @@ impl ProcessGroup {
         Ok(())
     }
 
-    /// The first rank that failed itself, and its exit code; `None` if none failed. Collective.
+    /// The first rank that failed itself, and its exit code; `None` if no rank failed. Collective.
     pub fn first_failure(&self, own: Option<&Error>) -> Option<(usize, u8)> {
         let own = own.filter(|error| !matches!(error, Error::OtherRank { .. }));
         let message = own.map_or([0, 0], |error| [1, error.exit_code()]);

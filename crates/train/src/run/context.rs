@@ -321,7 +321,7 @@ fn write_start(
         checkpoints.set_best(progress.best().as_ref())?;
     }
     if nothing_left {
-        // A process killed after the last checkpoint may not have removed old ones.
+        // A process killed after the last checkpoint may not have removed old checkpoints.
         checkpoints.prune(*step, config.checkpoint.keep_last, progress.best_step)?;
         return Ok(lock.clone());
     }

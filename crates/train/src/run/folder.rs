@@ -19,7 +19,7 @@ const LOCK: &str = "lock";
 /// Folder of the samples at a run's end.
 pub const SAMPLES: &str = "samples";
 
-/// Folder for unfinished samples, from the start of a run until they are complete.
+/// Folder for unfinished samples, from the start of a run until all samples are complete.
 pub const UNFINISHED_SAMPLES: &str = ".writing-samples";
 
 /// Folder of the previews during training.
@@ -30,7 +30,7 @@ pub fn preview_page(folder: &Path, step: u64) -> PathBuf {
     folder.join(PREVIEWS).join(format!("step-{step:08}.html"))
 }
 
-/// True if `folder` contains a run: its config or, if that is lost, a checkpoint.
+/// True if `folder` contains a run: its config or, if the config is lost, a checkpoint.
 ///
 /// # Errors
 /// If the checkpoints cannot be listed.

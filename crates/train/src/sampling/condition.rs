@@ -26,7 +26,7 @@ pub enum Condition {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         source: Option<String>,
     },
-    /// Number of the first held-out items of the run's dataset.
+    /// A number of held-out items of the run's dataset, from the first on.
     HeldOut(usize),
     /// A file of audio features.
     AudioFeatures(PathBuf),

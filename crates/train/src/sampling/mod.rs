@@ -1,8 +1,8 @@
 //! Requests for samples.
 //!
-//! A [`Request`] lists [conditions](Condition). The model's system resolves it to a [`Sampler`].
-//! [`Systems::sample`](crate::system::Systems::sample) rejects conditions that the recipe does not
-//! accept, checks memory, and names and records the samples.
+//! A [`Request`] lists [conditions](Condition). The model's system resolves a request to a
+//! [`Sampler`]. [`Systems::sample`](crate::system::Systems::sample) rejects conditions that the
+//! recipe does not accept, checks memory, and names and records the samples.
 
 mod condition;
 mod generated;

@@ -89,7 +89,7 @@ pub struct CompositionRecord {
     pub prompts: Vec<PromptRecord>,
 }
 
-/// A path and the deviation of the motion from it.
+/// A path and the deviation of the motion from the path.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PathRecord {
     /// Its file.
@@ -108,7 +108,7 @@ pub struct PathRecord {
 pub struct PromptRecord {
     /// The frame, from 0.
     pub from: usize,
-    /// The caption; `None` without one, or with an embedding only.
+    /// The caption; `None` without a caption, or with an embedding only.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub text: Option<String>,
 }

@@ -132,7 +132,7 @@ impl Request {
         self.conditions.is_empty()
     }
 
-    /// Id or pattern of an item, and its dataset if not the run's.
+    /// Id or pattern of an item, and its dataset if different from the run's.
     pub fn item(&self) -> Option<(&str, Option<&str>)> {
         self.find(|condition| match condition {
             Condition::Item { id, source } => Some((id.as_str(), source.as_deref())),

@@ -2,7 +2,7 @@
 
 use kinegrad_random::{Key, Purpose};
 
-/// The seed of the samples for the item `id`. Within a call, the noise of samples differs by their
+/// The seed of the samples for the item `id`. Within a call, samples differ in noise by their
 /// number only. Items of separate calls would share noise under one seed.
 pub fn item_seed(seed: u64, id: &str) -> u64 {
     Key::new(seed, Purpose::PhraseSeed).named(id).seed()

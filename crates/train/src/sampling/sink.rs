@@ -13,7 +13,7 @@ use crate::observer::Reading;
 pub struct Sample {
     /// Suffix that distinguishes the sample from others of the request; empty for a single sample.
     pub name: String,
-    /// Its files by extension, such as `.npy`; the first is the motion itself.
+    /// The files by extension, such as `.npy`; the first file is the motion itself.
     pub files: Vec<(&'static str, Contents)>,
     /// The record of the sample's generation.
     pub record: Record,
@@ -61,7 +61,8 @@ pub trait SampleSink {
     /// Called before sampling with the names of all samples and the extensions of their files.
     ///
     /// # Errors
-    /// If the files cannot be stored, for example because they exist; sampling does not start.
+    /// If the files cannot be stored, for example because such files exist; sampling does not
+    /// start.
     fn reserve_outputs(&mut self, _names: &Names, _extensions: &[&str]) -> Result<(), Error> {
         Ok(())
     }

@@ -30,7 +30,7 @@ impl Systems<'_> {
         overrides: &[String],
         beneath: &Table,
     ) -> Result<Config, ConfigError> {
-        // Errors of the file itself name its lines.
+        // Errors of the file itself name the file's lines.
         self.load(path, overrides)?;
         let text = read(path)?;
         let mut table = beneath.clone();

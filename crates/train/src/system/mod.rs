@@ -195,7 +195,8 @@ pub trait System: Sync {
         Ok(None)
     }
 
-    /// Names of the evaluation options that its models accept: `audio_ablation`, `trajectory_run`.
+    /// Names of the evaluation options that the system's models accept: `audio_ablation`,
+    /// `trajectory_run`.
     fn accepts_in_evaluation(&self) -> &'static [&'static str] {
         &[]
     }
@@ -230,7 +231,7 @@ impl<'a> Systems<'a> {
     /// The representation of an array of this `shape` with these values.
     ///
     /// # Errors
-    /// If no system recognizes it; `path` is the file, for the message.
+    /// If no system recognizes the array; `path` is the file, for the message.
     pub fn representation_of(
         self,
         path: &Path,

@@ -28,7 +28,7 @@ pub struct Environment {
     pub burn: String,
     /// Device, as `run.device` names it.
     pub device: String,
-    /// The device's name, if it is not a CPU.
+    /// The device's name; `None` for a CPU.
     pub accelerator: Option<String>,
     /// Model of the CPU.
     pub cpu: String,

@@ -67,7 +67,7 @@ impl Metrics {
         warn: &mut dyn FnMut(&str),
     ) -> Result<Self, Error> {
         let path = folder.join(FILE);
-        // A run at step 0 measures its initial weights again.
+        // A run at step 0 measures the initial weights again.
         let length = match step {
             0 => 0,
             _ => {

@@ -13,7 +13,7 @@ use crate::error::Error;
 use crate::observer::Observer;
 use crate::recipe::{Loss, Recipe, StepKey};
 
-/// A step's loss and its gradient, averaged over the micro-batches by their weight.
+/// A step's loss and gradient, averaged over the micro-batches by weight.
 pub(super) struct Averaged {
     pub gradients: StepGradients,
     pub loss: f64,
