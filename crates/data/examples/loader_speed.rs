@@ -1,14 +1,13 @@
-//! Training samples per second of the loader: kinegrad's side of
-//! `scripts/loader/run`.
+//! Training samples per second of the loader: kinegrad's side of `scripts/loader/run`.
 //!
 //! ```text
 //! loader_speed write FOLDER PHRASES FRAMES
 //! loader_speed measure FOLDER WORKERS MEMORY_MIB WARM_UP_EPOCHS
 //! ```
 //!
-//! `write` makes a synthetic dataset with `statistics.json` beside it. `measure` prints the sums
-//! of an epoch as one JSON line, and then answers each line, a number of seconds, with samples per
-//! second over that time.
+//! `write` writes a synthetic dataset and `statistics.json`. `measure` prints the sums of an epoch
+//! as one JSON line. Each further input line is a number of seconds; the answer is the samples per
+//! second over this time.
 
 use std::error::Error;
 use std::io::BufRead;

@@ -10,9 +10,9 @@ use crate::Error;
 /// Number of writes started by this process.
 static WRITERS: AtomicU64 = AtomicU64::new(0);
 
-/// Writes `bytes` to `path` atomically: to a temporary file beside it, flushed, then renamed.
-/// Missing parent folders are created. Fails with [`Error::Io`]; the temporary file is removed and
-/// an older `path` is unchanged.
+/// Writes `bytes` to `path` atomically: to a temporary file beside `path`, which is flushed and
+/// renamed. Missing parent folders are created. Fails with [`Error::Io`]; a failed write leaves an
+/// older `path` unchanged.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     let failed = |reason| Error::io("write", path, reason);
     if path.file_name().is_none() {

@@ -1,4 +1,4 @@
-//! Groups of audio features of a song's frames.
+//! Groups of audio features.
 
 use kinegrad_audio::pulse::BEAT_FEATURES;
 use kinegrad_settings::{InvalidSetting, Refused, require};
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::features::{BEATS, FEATURES};
 
-/// Audio features of a frame without beat features.
+/// Number of audio features per frame, without beat features.
 pub const AUDIO_CHANNELS: usize = 163;
 
 /// A group of audio features.
@@ -16,15 +16,15 @@ pub const AUDIO_CHANNELS: usize = 163;
 pub enum AudioGroup {
     /// The 163 features of CC-MotionGen, sections 4.1 and 4.3.
     Ccmotion,
-    /// Sine and cosine of the position in the beat and, if the downbeat is known, in the bar; beat
-    /// marks; local tempo.
+    /// Sine and cosine of the phase in the beat and, with a known downbeat, in the bar; beat marks;
+    /// local tempo.
     Beats,
 }
 
-/// The groups of audio features that a model is conditioned on, in their order.
+/// The ordered groups of audio features that condition a model.
 #[derive(Clone, Copy, Debug, Default, Eq, PartialEq)]
 pub struct AudioLayout {
-    /// True if the seven beat features follow the 163.
+    /// True if the seven beat features follow the 163 others.
     pub beats: bool,
 }
 
@@ -32,7 +32,7 @@ impl AudioLayout {
     /// The 163 features alone.
     pub const CCMOTION: Self = Self { beats: false };
 
-    /// The 163 features, then those of the beats.
+    /// The 163 features, followed by the beat features.
     pub const WITH_BEATS: Self = Self { beats: true };
 
     /// The layout of `groups`, which must be [valid](check_groups).
@@ -55,7 +55,7 @@ impl AudioLayout {
         FEATURES.into_iter().chain(self.beats.then_some(BEATS))
     }
 
-    /// Features of a frame: 163 or 170.
+    /// Number of features per frame: 163 or 170.
     pub fn channels(self) -> usize {
         match self.beats {
             false => AUDIO_CHANNELS,
@@ -64,7 +64,8 @@ impl AudioLayout {
     }
 }
 
-/// Rejects unsupported lists of groups. The error names `key`, what was found and what is allowed.
+/// Rejects unsupported lists of groups. The error names `key`, the found groups and the allowed
+/// ones.
 pub fn check_groups(key: &str, groups: &[AudioGroup]) -> Result<(), InvalidSetting> {
     let named = serde_json::to_string(groups).unwrap_or_default();
     let allowed = "[\"ccmotion\"] or [\"ccmotion\", \"beats\"]";

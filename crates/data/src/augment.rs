@@ -11,7 +11,7 @@ use crate::context_window::{ContextWindow, Window};
 use crate::features::AudioFeatures;
 use crate::{AugmentConfig, Crop, DataConfig, time_stretch};
 
-// Key counters below the sample's key, one for each augmentation, so that they are independent.
+// One key counter per augmentation, below the sample's key, makes the augmentations independent.
 const WINDOW: u64 = 0;
 const MIRROR: u64 = 1;
 const YAW: u64 = 2;
@@ -22,7 +22,7 @@ const AUDIO_REPLACE: u64 = 6;
 const BAR_DROP: u64 = 7;
 const SPEED: u64 = 8;
 
-/// Frames after a window that is played at another speed, for the derivatives of its last frames.
+/// Extra frames after a time-stretched window, for the derivatives of its last frames.
 const BEHIND: usize = 4;
 
 /// Creates training samples. Sample n is a function of the seed and n alone.
@@ -45,7 +45,7 @@ impl Augmentation {
         }
     }
 
-    /// Most frames of a recording that a sample uses.
+    /// Maximum number of frames that a sample reads from a recording.
     pub fn frames_seen(&self) -> usize {
         match self.augment.speed {
             0.0 => self.target_frames,
@@ -76,7 +76,7 @@ impl Augmentation {
             window = sub_window(window, played_by(min_frames, speed), key.at(WINDOW));
         }
         let frames = frames_at_speed(window.len(), speed).min(self.target_frames);
-        // A leading crop without these changes stays as stored.
+        // An unmodified leading crop is already anchored.
         let anchor = window.start > 0 || reflect || turn || min_frames.is_some() || speed != 1.0;
         let (mut motion, mut audio) = context.window(window.clone());
         if anchor || flip {
@@ -136,7 +136,8 @@ impl Augmentation {
         }
     }
 
-    /// The frames of sample `n`: `target_frames` after playing at `speed`, or all of a recording.
+    /// The frames of sample `n`: the source of `target_frames` frames at `speed`, or a shorter
+    /// recording.
     fn crop(&self, context: &ContextWindow, speed: f64, n: u64) -> Range<usize> {
         let target_frames = played_by(self.target_frames, speed);
         let starts = context.starts(target_frames);
@@ -151,19 +152,19 @@ impl Augmentation {
     }
 }
 
-/// Number of frames that last `frames` when played at `speed`.
+/// Number of source frames for `frames` frames at `speed`.
 fn played_by(frames: usize, speed: f64) -> usize {
     ((frames.saturating_sub(1)) as f64 * speed - 1e-9).ceil() as usize + 1
 }
 
-/// The same orientations with the other sign.
+/// Negates all quaternions, which keeps the orientations.
 fn negate_quaternions(motion: &mut Phrase) {
     for t in 0..motion.frames() {
         motion.set_quaternion(t, motion.quaternion(t).scale(-1.0));
     }
 }
 
-/// Sets one range of time and one band of adjacent features, beats excepted, to zero.
+/// Zeroes one time range and one band of adjacent features, but no beat features.
 fn mask_audio(audio: &mut AudioFeatures, key: Key) {
     let range = |length: usize, longest: usize, key: Key| {
         let start = below(length, key.at(0));
@@ -243,7 +244,7 @@ mod tests {
             forgotten += usize::from(hidden);
         }
         assert!((150..250).contains(&forgotten), "{forgotten}");
-        // Features without beats have no bars to forget.
+        // Without beat features, `bar_drop_prob` has no effect.
         let without = synthetic::phrase(4, 30, 2);
         let samples = [&plain, &dropping].map(|sampler| sampler.sample(&alone(&without), 1));
         assert_eq!(samples[0], samples[1]);
@@ -258,12 +259,12 @@ mod tests {
         Augmentation::new(&config, 3)
     }
 
-    /// A phrase that is a take of its own.
+    /// A phrase without neighbors in its recording.
     fn alone(phrase: &PhraseItem) -> ContextWindow {
         ContextWindow::alone(Arc::new(phrase.clone()))
     }
 
-    /// The first frame of `phrase` whose audio is that of the sample.
+    /// The first frame of the sample's audio in `phrase`.
     fn start(phrase: &PhraseItem, audio: &AudioFeatures) -> usize {
         (0..=phrase.frames() - audio.frames())
             .find(|&s| phrase.audio.slice(s..s + audio.frames()) == *audio)
@@ -483,7 +484,7 @@ mod tests {
             slow > 110 && fast > 110 && starts.len() > 20,
             "{slow} {fast}"
         );
-        // Where the recording is too short to be played faster, the sample is shorter.
+        // If the recording is too short for a higher speed, the sample is shorter.
         let short = synthetic::phrase(0, 21, 2);
         let lengths: BTreeSet<usize> = (0..60)
             .map(|n| playing.sample(&alone(&short), n).0.frames())

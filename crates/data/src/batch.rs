@@ -1,4 +1,4 @@
-//! A batch: normalised motion, conditions and a mask, as flat host arrays.
+//! A batch: normalized motion, conditions and a mask, as flat host arrays.
 
 use std::ops::Range;
 
@@ -7,20 +7,20 @@ use kinegrad_motion::Statistics;
 /// Name of the condition on audio features, `[163, frames]`.
 pub const AUDIO: &str = "audio";
 
-/// Name of the text condition, its pooled feature `[512, 1]`.
+/// Name of the text condition, a pooled text feature `[512, 1]`.
 pub const TEXT: &str = "text";
 
-/// Name of the words of a caption, `[width + 1, words]`: each word's vector, and the index of its
-/// part of speech plus 1, 0 without a word.
+/// Name of the condition on a caption's words, `[width + 1, words]`. Each column is a word's vector
+/// and the index of its part of speech plus 1, or 0 without a word.
 pub const WORDS: &str = "words";
 
-/// Name of the number that clips with the same captions share, `[1, 1]`.
+/// Name of the number `[1, 1]` that is equal for clips with the same captions.
 pub const CAPTIONS: &str = "captions";
 
 /// Samples of one length. Flat arrays in row-major order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Batch {
-    /// Normalised motion, `[batch_size, channels, frames]`; padding is zero.
+    /// Normalized motion, `[batch_size, channels, frames]`; padding is zero.
     pub x_start: Vec<f32>,
     /// Conditions of the samples.
     pub conditions: Vec<Condition>,
@@ -45,11 +45,11 @@ pub struct Condition {
     pub values: Vec<f32>,
     /// Its channels.
     pub channels: usize,
-    /// Frames: those of the sample, or 1 for the whole sample.
+    /// Frames of the sample, or 1 for a condition on the whole sample.
     pub frames: usize,
 }
 
-/// One condition of one sample: some frames of each channel.
+/// One condition of one sample: a frame range of each channel.
 #[derive(Clone, Debug)]
 pub struct ConditionRows<'a> {
     /// `[channels, frames]`.
@@ -83,7 +83,7 @@ pub struct SampleShape {
 }
 
 impl Batch {
-    /// An empty batch that takes `batch_size` samples of this `shape`.
+    /// An empty batch with room for `batch_size` samples of this `shape`.
     pub fn with_capacity(batch_size: usize, shape: &SampleShape) -> Self {
         let values = |channels, frames| Vec::with_capacity(batch_size * channels * frames);
         let condition = |&(name, channels, frames): &(&'static str, usize, usize)| Condition {
@@ -103,8 +103,8 @@ impl Batch {
         }
     }
 
-    /// Adds a sample of motion `rows`, at most as many frames as the batch has, and of the rows of
-    /// each condition. The first channels are normalised; the rest is padded.
+    /// Adds a sample from motion `rows`, no longer than the batch, and the rows of each condition.
+    /// The batch's channels are normalized; missing frames are padded.
     pub fn push(
         &mut self,
         id: &str,
@@ -152,7 +152,7 @@ mod tests {
             frames: 4,
             conditions: vec![(AUDIO, 2, 4), (TEXT, 3, 1)],
         };
-        // Three channels, of which the batch takes two.
+        // The statistics have three channels; the batch uses two.
         let mut statistics = Statistics::unit(3);
         (statistics.mean[1], statistics.std[1]) = (1.0, 2.0);
         let mut batch = Batch::with_capacity(2, &shape);

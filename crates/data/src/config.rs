@@ -17,10 +17,10 @@ use crate::location::Location;
 use crate::prefetch::LOOK_AHEAD_PER_WORKER;
 use crate::{Error, Humanml3dConfig};
 
-/// Fewest frames a sample may have: the third difference of the jerk check needs four.
+/// Minimum frames of a sample: the third difference of the jerk check needs four.
 pub const MIN_FRAMES: usize = 4;
 
-/// The frames that a sample may have.
+/// The allowed frames per sample.
 const FRAMES: RangeInclusive<usize> = MIN_FRAMES..=crate::MAX_FRAMES;
 
 /// The dataset and its loading. Settings of phrases also apply to [clips](crate::humanml), unless
@@ -30,19 +30,20 @@ const FRAMES: RangeInclusive<usize> = MIN_FRAMES..=crate::MAX_FRAMES;
 pub struct DataConfig {
     /// Kind of the dataset.
     pub kind: DataKind,
-    /// Location of the dataset: a folder, a `file://`, `gs://`, `s3://`, `http://` or `https://`
-    /// URI. Needed for `kind = "phrases"` and `kind = "humanml3d"`.
+    /// Location of the dataset: a folder, or a `file://`, `gs://`, `s3://`, `http://` or `https://`
+    /// URI. Required for `kind = "phrases"` and `kind = "humanml3d"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source: Option<String>,
-    /// Groups of audio features: `["ccmotion"]` (the 163 of CC-MotionGen) or
-    /// `["ccmotion", "beats"]` (with beat features, which the dataset must contain).
+    /// Groups of audio features: `["ccmotion"]` (the 163 features of CC-MotionGen) or `["ccmotion",
+    /// "beats"]`, which needs a dataset with beat features.
     pub audio_features: Vec<AudioGroup>,
-    /// Frames of a sample, at 30 per second (HumanML3D: 20; 196 frames are usual). Longer phrases
-    /// are cropped, shorter ones padded.
+    /// Frames per sample, at 30 frames per second (HumanML3D: 20, usually 196 frames). Longer
+    /// phrases are cropped, shorter phrases are padded.
     pub target_frames: usize,
     /// Cropping of longer phrases.
     pub crop: Crop,
-    /// Data that the normalisation of phrases is measured on. Fine-tuning keeps that of its start.
+    /// Data for the normalization statistics of phrases. Fine-tuning keeps the statistics of the
+    /// initial model.
     pub statistics: StatisticsOf,
     /// Joins consecutive training phrases of one recording (ids `NAME_FIRSTFRAME`), so that random
     /// crops may begin up to half a phrase before or after a phrase.
@@ -56,9 +57,9 @@ pub struct DataConfig {
     /// Use only the first ids, in sorted order.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub num_phrases: Option<usize>,
-    /// Labels of phrases, such as the dance style, for networks with `model.style`: by id or
-    /// pattern with `*` (the longest match wins), before those of the manifest. An empty label is
-    /// none.
+    /// Labels of phrases, such as the dance style, for networks with `model.style`. A key is an id
+    /// or a pattern with `*`; the longest match wins and overrides the manifest. An empty label
+    /// removes the label.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub labels: BTreeMap<String, String>,
     /// Held-out phrases.
@@ -115,7 +116,7 @@ pub enum DataKind {
 }
 
 impl DataKind {
-    /// True for datasets of clips, false for those of phrases.
+    /// True for datasets of clips, false for datasets of phrases.
     pub fn is_clips(self) -> bool {
         matches!(self, Self::Humanml3d | Self::SyntheticWalks)
     }
@@ -138,7 +139,7 @@ pub enum Crop {
     Leading,
 }
 
-/// Data that the statistics of the normalisation are measured on.
+/// Data for the normalization statistics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum StatisticsOf {
@@ -155,16 +156,16 @@ pub enum StatisticsOf {
 pub enum OnBadPhrase {
     /// Stop with an error.
     Error,
-    /// Leave it out with a warning.
+    /// Leave the phrase out with a warning.
     Skip,
 }
 
-/// Phrases held out for validation: those that `patterns` or `ids_file` name; else `fraction` of
-/// them; else by the `split` column of the manifest, or a tenth.
+/// Phrases held out for validation. `patterns` and `ids_file` take precedence over `fraction`.
+/// Without all three, the `split` column of the manifest decides, or a tenth is held out.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ValidationSplit {
-    /// Share held out, by a hash of each id: adding phrases moves no other one.
+    /// Share of held-out phrases, by a hash of each id: adding phrases moves no other phrase.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fraction: Option<f64>,
     /// Ids, or patterns with `*`, such as `"C_5_*"`.
@@ -174,13 +175,14 @@ pub struct ValidationSplit {
     pub ids_file: Option<String>,
 }
 
-/// Caches. They change speed and memory, never a batch.
+/// Caches, which change speed and memory, but no batch.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CacheConfig {
-    /// Most phrases in memory, MiB (0.09 for 120 frames). Held-out phrases are always kept.
+    /// Memory limit of cached phrases, MiB (0.09 for 120 frames). Held-out phrases always stay in
+    /// memory.
     pub memory_mib: usize,
-    /// Most remote files on disk, MiB, for all runs; 0 disables the cache.
+    /// Size limit of the disk cache of remote files for all runs, MiB; 0 disables the cache.
     pub disk_mib: u64,
     /// Folder of the disk cache, by default `$XDG_CACHE_HOME/kinegrad` or `~/.cache/kinegrad`.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -217,11 +219,11 @@ pub struct StoreConfig {
     pub endpoint: Option<String>,
     /// Send no credentials, for public buckets and emulators.
     pub anonymous: bool,
-    /// Timeout of a request without data, seconds.
+    /// Timeout of a request that receives no data, seconds.
     pub timeout_seconds: f64,
-    /// Retries of a failed request, with exponential backoff from 0.1 s to 20 s.
+    /// Number of retries of a failed request, with exponential backoff from 0.1 s to 20 s.
     pub max_retries: usize,
-    /// Most concurrent requests, and phrases of a batch that are read in parallel.
+    /// Maximum number of concurrent requests, and of phrases of a batch that are read in parallel.
     pub concurrency: usize,
 }
 
@@ -247,7 +249,7 @@ pub struct AugmentConfig {
     pub mirror: bool,
     /// Negate all quaternions in half of the samples; q and -q are the same orientation.
     pub flip_quaternion: bool,
-    /// Take a random window of at least this many frames from the crop; the rest is padding.
+    /// Crop each sample to a random window of at least this many frames and pad the rest.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub min_frames: Option<usize>,
     /// Standard deviation of Gaussian noise on the audio features.
@@ -258,11 +260,11 @@ pub struct AugmentConfig {
     pub audio_masks: usize,
     /// Probability of replacing a sample's audio features by normal noise.
     pub audio_replace_prob: f64,
-    /// Probability of hiding the downbeat in beat features: `kinegrad sample --audio` does not know
-    /// it without `--downbeat`.
+    /// Probability of hiding the downbeat in beat features. `kinegrad sample --audio` has no
+    /// downbeat without `--downbeat`.
     pub bar_drop_prob: f64,
-    /// Largest relative change of speed of motion and music: 0.25 samples a speed between 1 / 1.25
-    /// and 1.25. Style numbers are kept.
+    /// Largest relative change of the speed of motion and music: 0.25 samples speeds from 1 / 1.25
+    /// to 1.25. Style numbers stay unchanged.
     pub speed: f64,
     /// Probability of bending the trajectory of a clip at random, with locked feet
     /// (docs/sources.md, section 7, option E).
@@ -275,7 +277,7 @@ pub struct AugmentConfig {
 pub struct SyntheticConfig {
     /// Number of phrases.
     pub phrases: usize,
-    /// Frames of each, at 30 per second.
+    /// Frames of each phrase, at 30 frames per second.
     pub frames: usize,
     /// Seed of the dances and their music.
     pub seed: u64,
@@ -291,7 +293,7 @@ impl Default for SyntheticConfig {
     }
 }
 
-/// Most numbers in a frame of an item of any kind.
+/// Maximum number of values per frame of any item.
 const NUMBERS_A_FRAME: u64 = 280;
 
 impl DataConfig {
@@ -300,7 +302,7 @@ impl DataConfig {
         AudioLayout::of(&self.audio_features)
     }
 
-    /// Approximate bytes of memory of prefetched batches, and of items without files.
+    /// Approximate memory of prefetched batches and of items without files, bytes.
     pub fn memory(&self) -> u64 {
         let frames = |items: usize, frames: usize| items as u64 * frames as u64;
         let synthetic = match self.kind {
@@ -312,8 +314,8 @@ impl DataConfig {
         (synthetic + ahead) * NUMBERS_A_FRAME * size_of::<f32>() as u64
     }
 
-    /// Checks every value that can be checked without opening a file. Fails with [`Error::Config`]
-    /// with the key; [`Error::Scheme`] for an unknown kind of source.
+    /// Checks every value that needs no open file. Fails with [`Error::Config`], which names the
+    /// key; [`Error::Scheme`] for an unknown kind of source.
     pub fn validate(&self) -> Result<(), Error> {
         in_range("data.target_frames", self.target_frames, FRAMES)
             .hint("30 frames are one second; 120 is the usual phrase")?;
@@ -373,7 +375,7 @@ impl CacheConfig {
 }
 
 impl StoreConfig {
-    /// The error names the first key out of its range.
+    /// The error names the first key that is out of range.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         if let Some(endpoint) = &self.endpoint {
             require(
@@ -418,7 +420,7 @@ impl AugmentConfig {
 }
 
 impl SyntheticConfig {
-    /// Fails for no phrases, or phrases too short or too long.
+    /// Fails for zero phrases, and for phrases that are too short or too long.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         in_range("data.synthetic.phrases", self.phrases, 1..=1_000_000)
             .hint("64 phrases are enough to see a small model learn")?;

@@ -1,4 +1,4 @@
-//! Phrases within the recordings that they were cut from.
+//! Phrases in the context of their recordings.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -14,7 +14,7 @@ use crate::{Error, PhraseItem, PhraseSet};
 /// A phrase and the recording around it.
 #[derive(Clone, Debug)]
 pub struct ContextWindow {
-    /// The phrase, joined with the part of its recording that a crop can reach.
+    /// The phrase and the surrounding frames that a crop can reach.
     pub(crate) take: Arc<PhraseItem>,
     /// The phrase's own frames in the recording.
     pub(crate) own: Range<usize>,
@@ -42,7 +42,7 @@ impl<T: Clone> Window<'_, T> {
 }
 
 impl ContextWindow {
-    /// A phrase without neighbours.
+    /// A phrase without neighbors.
     pub(crate) fn alone(phrase: Arc<PhraseItem>) -> Self {
         Self {
             own: 0..phrase.frames(),
@@ -51,7 +51,7 @@ impl ContextWindow {
         }
     }
 
-    /// Motion and audio of some `frames`.
+    /// Motion and audio of `frames`.
     pub(crate) fn window(
         &self,
         frames: Range<usize>,
@@ -82,8 +82,8 @@ impl ContextWindow {
         (motion, audio)
     }
 
-    /// The possible first frames of a crop of `target_frames`: within the phrase and, with
-    /// neighbours, up to half its length around. Never empty.
+    /// The possible first frames of a crop of `target_frames`, never empty. A crop of joined
+    /// phrases may start up to half a phrase before or after the phrase.
     pub(crate) fn starts(&self, target_frames: usize) -> Range<usize> {
         let frames = self.take.frames();
         let length = frames.min(target_frames);
@@ -98,7 +98,7 @@ impl ContextWindow {
     }
 }
 
-/// Largest distance of a crop's start from a phrase, frames.
+/// Largest distance between a crop's start and its phrase, frames.
 fn reach(frames: usize) -> usize {
     frames / 2
 }
@@ -107,13 +107,13 @@ fn reach(frames: usize) -> usize {
 #[derive(Clone, Debug)]
 pub(crate) struct ContextWindows {
     phrases: PhraseSet,
-    /// For each phrase the positions of its recording; only itself without joining.
+    /// Positions of the phrases in each phrase's recording; without joining, its own only.
     recordings: Arc<[Range<usize>]>,
     target_frames: usize,
 }
 
 impl ContextWindows {
-    /// The contexts of `phrases`, sorted by id, alone or `joined` with their neighbours.
+    /// The contexts of `phrases`, sorted by id, alone or `joined` with their neighbors.
     pub fn new(phrases: PhraseSet, target_frames: usize, joined: bool) -> Self {
         let mut recordings = Vec::with_capacity(phrases.len());
         let mut first = 0;
@@ -173,7 +173,7 @@ impl ContextWindows {
     }
 }
 
-/// True if the phrase after `position` continues this one, by their ids `NAME_FIRSTFRAME`.
+/// True if the ids `NAME_FIRSTFRAME` show that the next phrase continues the phrase at `position`.
 fn follows(phrases: &PhraseSet, position: usize) -> bool {
     let parse = |id: &str| {
         let (name, first) = id.rsplit_once('_')?;
@@ -187,8 +187,8 @@ fn follows(phrases: &PhraseSet, position: usize) -> bool {
     }
 }
 
-/// Joins consecutive phrases. Each is anchored at its first frame, so it is moved horizontally to
-/// continue with the mean velocity of both sides. The sign of quaternions is continuous.
+/// Joins consecutive phrases. Each phrase is anchored at its first frame and is moved horizontally,
+/// so that a seam has the mean velocity of both sides. Quaternion signs are continuous.
 fn join(phrases: &[Arc<PhraseItem>]) -> PhraseItem {
     let (first, rest) = phrases.split_first().expect("a run has a phrase");
     if rest.is_empty() {
@@ -235,7 +235,7 @@ mod tests {
     use crate::synthetic;
     use kinegrad_motion::{Profile, check, phrase_statistics};
 
-    /// A recording of 90 frames cut into phrases of 30, each moved to the origin.
+    /// A recording of 90 frames and its phrases of 30 frames, each anchored at the origin.
     fn cut() -> (PhraseItem, Vec<Arc<PhraseItem>>) {
         let whole = synthetic::phrase(0, 90, 4);
         let phrases = (0..3)
@@ -277,7 +277,7 @@ mod tests {
             .iter()
             .zip(expected.as_slice())
             .enumerate()
-            // The seam's velocity is a guess, so position may drift by a little there.
+            // The velocity at a seam is estimated, so the position may drift a little.
             .filter(|(index, _)| POSITION.contains(&(index % 25)))
             .fold(0.0f32, |worst, (_, (a, b))| worst.max((a - b).abs()));
         assert!(worst < 0.02, "{worst} m off after two seams");

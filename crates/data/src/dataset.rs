@@ -11,10 +11,10 @@ use crate::progress::{OpenProgress, no_progress};
 use crate::scan::Listable;
 use crate::{DataConfig, Digest, Error, LoaderReport};
 
-/// Most notes that are reported one by one.
+/// Maximum number of notes that are reported individually.
 const NOTES: usize = 5;
 
-/// The items of a dataset, sorted by id within each side of the split.
+/// The items of a dataset; each split is sorted by id.
 #[derive(Debug)]
 pub struct Dataset<T: Item> {
     /// Training items; at least one.
@@ -25,19 +25,19 @@ pub struct Dataset<T: Item> {
     pub representation: T::Representation,
     /// Id and reason of each bad item that is skipped under `on_bad_phrase = "skip"`.
     pub skipped: Vec<(String, String)>,
-    /// Id and reason of each valid item that is left out, such as a clip of another length.
+    /// Id and reason of each valid item that is left out, such as a clip outside the length limits.
     pub left_out: Vec<(String, String)>,
-    /// Warnings, such as those about unpaired folders and unusable captions.
+    /// Warnings about the dataset, such as unpaired folders and unusable captions.
     pub warnings: Vec<String>,
-    /// Checksum of ids, files and split of all items, and of other files that decide the training
-    /// data; independent of the location.
+    /// Checksum of the ids, files and split of all items and of other files that affect the
+    /// training data. The location of the dataset does not change the checksum.
     pub digest: Digest,
     stored_statistics: Option<Statistics>,
 }
 
 #[expect(private_bounds, reason = "configs list the items of this crate alone")]
 impl<T: Listable> Dataset<T> {
-    /// Opens the dataset of `config`, reading all items in parallel. Fails with [`Error::Config`]
+    /// Opens the dataset of `config` and reads all items in parallel. Fails with [`Error::Config`]
     /// for invalid settings or another `kind` of items; [`Error::Scheme`], [`Error::Feature`],
     /// [`Error::MissingFolder`], [`Error::Manifest`], [`Error::File`], [`Error::Store`],
     /// [`Error::Io`] for an unusable dataset; [`Error::BadItem`] for the first bad item by id;
@@ -46,9 +46,9 @@ impl<T: Listable> Dataset<T> {
         Self::open_among(config, &no_progress, &Alone)
     }
 
-    /// [`open`](Self::open) with `progress`, by ranks that each read a part of the items.
-    /// Collective. Also fails with [`Error::Interrupted`]; [`Error::OtherListing`] if ranks list
-    /// different items; [`Error::OtherReader`] if another rank failed.
+    /// [`open`](Self::open) with `progress`; each rank reads a part of the items. Collective. Also
+    /// fails with [`Error::Interrupted`]; [`Error::OtherListing`] if ranks list different items;
+    /// [`Error::OtherReader`] if another rank failed.
     pub fn open_among(
         config: &DataConfig,
         progress: OpenProgress,
@@ -142,14 +142,14 @@ impl<T: Item> Dataset<T> {
         }
     }
 
-    /// Statistics of the normalisation: the dataset's own, or measured on the training items. Fails
-    /// as [`ItemSet::get`].
+    /// The normalization statistics, from the dataset's files or measured on the training items.
+    /// Fails as [`ItemSet::get`].
     pub fn statistics(&self) -> Result<Statistics, Error> {
         self.statistics_among(&no_progress, &Alone)
     }
 
-    /// [`statistics`](Self::statistics) with `progress`, by ranks that each measure a part of the
-    /// items. Collective. Also fails with [`Error::Interrupted`] and [`Error::OtherReader`].
+    /// [`statistics`](Self::statistics) with `progress`; each rank measures a part of the items.
+    /// Collective. Also fails with [`Error::Interrupted`] and [`Error::OtherReader`].
     pub fn statistics_among(
         &self,
         progress: OpenProgress,
@@ -165,7 +165,7 @@ impl<T: Item> Dataset<T> {
         }
     }
 
-    /// Reads the item `id` of either split. Fails as [`ItemSet::get`].
+    /// Reads the item `id` from either split. Fails as [`ItemSet::get`].
     pub fn find(&self, id: &str) -> Result<Option<Arc<T>>, Error> {
         match self.train.find(id)? {
             None => self.validation.find(id),
@@ -173,7 +173,7 @@ impl<T: Item> Dataset<T> {
         }
     }
 
-    /// The held-out items, or the training items if there are none.
+    /// The held-out items or, without held-out items, the training items.
     pub fn held_out(&self) -> &ItemSet<T> {
         match self.validation.is_empty() {
             true => &self.train,
@@ -326,7 +326,7 @@ mod tests {
         assert_eq!(statistics.unwrap(), dataset.statistics().unwrap());
     }
 
-    /// The first of two ranks, of which the other lists something else.
+    /// The first of two ranks; the other rank lists different items.
     struct Apart;
 
     impl Sharing<Error> for Apart {

@@ -1,4 +1,4 @@
-//! Errors about a dataset's settings, its folder and its files.
+//! Errors about the settings, folder and files of a dataset.
 
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,8 @@ use thiserror::Error;
 use crate::magnitude::allowed;
 use crate::{Item, StoreError};
 
-/// Why an array file cannot be used. `file` is its path, followed by `:member` in an archive.
+/// The reason an array file cannot be used. `file` is its path, followed by `:member` in an
+/// archive.
 #[derive(Debug, Error, Diagnostic)]
 pub enum FileError {
     /// The file cannot be read or used.
@@ -30,7 +31,7 @@ pub enum FileError {
     Store(#[from] StoreError),
 }
 
-/// Why a dataset could not be opened or written.
+/// The reason a dataset could not be opened or written.
 #[derive(Debug, Error, Diagnostic)]
 pub enum Error {
     /// A progress callback stopped the work.
@@ -108,7 +109,7 @@ pub enum Error {
     #[error("{problem}")]
     #[diagnostic(help("{hint}"))]
     NothingToTrainOn {
-        /// Why.
+        /// The problem.
         problem: String,
         /// The hint.
         hint: String,
@@ -121,7 +122,7 @@ pub enum Error {
         kind: &'static str,
         /// Its id.
         id: String,
-        /// The problem. Not a `source`, as the message contains it.
+        /// The problem. It is no `source`, because the message contains the problem.
         cause: Box<FileError>,
         /// The hint.
         hint: String,
@@ -150,7 +151,7 @@ pub enum Error {
         action: &'static str,
         /// The path.
         path: PathBuf,
-        /// The reason by the operating system.
+        /// The operating system's reason.
         reason: std::io::Error,
     },
     /// The folder already contains a dataset.
@@ -207,7 +208,7 @@ impl FileError {
 }
 
 impl Error {
-    /// True if the environment failed (network, disk), not the input.
+    /// True if the network or disk failed, not the input.
     pub fn is_failure(&self) -> bool {
         let failed = |error: &StoreError| matches!(error, StoreError::Failed { .. });
         match self {
@@ -224,7 +225,7 @@ impl Error {
     pub(crate) fn bad<T: Item>(id: &str, cause: FileError) -> Self {
         let kind = T::KIND;
         let hint = match &cause {
-            // Nothing is wrong with the item itself.
+            // The item itself has no defect.
             FileError::Store(error) if !error.concerns_one_object() => {
                 error.help().map(|help| help.to_string())
             }

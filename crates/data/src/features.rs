@@ -1,4 +1,5 @@
-//! Stored audio features: the 163 of CC-MotionGen, sections 4.1 and 4.3, and optional beats.
+//! Stored audio features: the 163 features of CC-MotionGen, sections 4.1 and 4.3, and optional
+//! beats.
 
 use std::ops::Range;
 
@@ -8,7 +9,7 @@ use kinegrad_audio::{Features, Pulse};
 use crate::audio_layout::{AUDIO_CHANNELS, AudioLayout};
 use crate::magnitude::{first_unusable, is_usable};
 
-/// The arrays of `features.npz` in the order in which they are stacked, with their rows.
+/// Names and rows of the arrays in `features.npz`, in stacking order.
 pub const FEATURES: [(&str, usize); 6] = [
     ("mel", 128),
     ("chroma", 12),
@@ -18,7 +19,7 @@ pub const FEATURES: [(&str, usize); 6] = [
     ("onset_strength", 1),
 ];
 
-/// The array of beat features in `features.npz`, with its rows.
+/// Name and rows of the array of beat features in `features.npz`.
 pub const BEATS: (&str, usize) = ("beats", BEAT_FEATURES.len());
 
 /// Name of an audio channel, such as `mel[17]`, `rms` or `beats.bar_sin`.
@@ -40,7 +41,7 @@ pub fn audio_channel_name(channel: usize) -> String {
     }
 }
 
-/// Audio features at 30 frames per second: `[channels, frames]`, 163 or with beats 170 channels.
+/// Audio features at 30 frames per second, `[channels, frames]`: 163 channels, or 170 with beats.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AudioFeatures {
     frames: usize,
@@ -70,7 +71,7 @@ impl AudioFeatures {
         }
     }
 
-    /// A song's features in `layout`, with the beats of `pulse`, or zero.
+    /// A song's features in `layout`, with beat features from `pulse`; zeros without `pulse`.
     pub fn of_song(features: &Features, layout: AudioLayout, pulse: Option<&Pulse>) -> Self {
         let ccmotion = Self {
             frames: features.frames(),
@@ -83,7 +84,8 @@ impl AudioFeatures {
         }
     }
 
-    /// The 163 features with the beat features of `pulse`, whose second 0 is frame 0, or zero.
+    /// The 163 features with the beat features of `pulse`, whose second 0 is frame 0; zeros without
+    /// `pulse`.
     pub fn with_beats(&self, pulse: Option<&Pulse>) -> Self {
         let mut values = self.values[..AUDIO_CHANNELS * self.frames].to_vec();
         match pulse {
@@ -257,7 +259,7 @@ mod tests {
         assert_eq!(cut.channel(164), &cosine[3..5]);
         let again = AudioFeatures::new(9, both.as_slice().to_vec()).unwrap();
         assert_eq!(again, both);
-        // Another pulse replaces the first; none is silence.
+        // A new pulse replaces the old beat features; without a pulse they are zero.
         let none = both.with_beats(None);
         assert_eq!(none.layout(), AudioLayout::WITH_BEATS);
         assert!((163..170).all(|c| none.channel(c).iter().all(|v| *v == 0.0)));

@@ -10,15 +10,15 @@ pub const MAX_TEXT_BYTES: u64 = 64 << 20;
 /// Largest tensor file, which is read whole.
 pub const MAX_TENSOR_BYTES: u64 = 2 << 30;
 
-/// The bytes of the file at `path`, at most `limit`. Fails if it cannot be read, is a folder, pipe
-/// or device, or is longer.
+/// Reads the file at `path`, at most `limit` bytes. Fails if the file is unreadable or longer, or
+/// if `path` is a folder, pipe or device.
 pub fn read_file(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let too_long = |found: u64| {
         let message = format!("{found} bytes found, at most {limit} are read");
         io::Error::new(io::ErrorKind::FileTooLarge, message)
     };
     let stated = match regular(path) {
-        // A descriptor from a shell, as in `config show <(...)`.
+        // The shell passes a descriptor, as in `config show <(...)`.
         Err(_) if is_descriptor(path) => 0,
         found => found?,
     };
@@ -26,7 +26,7 @@ pub fn read_file(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
         return Err(too_long(stated));
     }
     let mut bytes = Vec::new();
-    // One more byte, so that the end is found without reallocation.
+    // One extra byte lets the read find the end without reallocation.
     bytes.try_reserve_exact(stated as usize + 1)?;
     // The file may grow meanwhile.
     File::open(path)?.take(limit + 1).read_to_end(&mut bytes)?;
@@ -43,15 +43,15 @@ fn is_descriptor(path: &Path) -> bool {
         .any(|open| path.starts_with(open))
 }
 
-/// The text of the file at `path`. Fails as [`read_file`] with [`MAX_TEXT_BYTES`], and if it is not
-/// UTF-8.
+/// Reads the UTF-8 text of the file at `path`. Fails as [`read_file`] with [`MAX_TEXT_BYTES`], and
+/// for text in another encoding.
 pub fn read_text(path: &Path) -> io::Result<String> {
     let bytes = read_file(path, MAX_TEXT_BYTES)?;
     String::from_utf8(bytes).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))
 }
 
-/// Opens or creates the file at `path` for locking. Fails if it cannot be made, or is a folder, a
-/// pipe or a device.
+/// Opens or creates the file at `path` for locking. Fails if the file cannot be created or is a
+/// folder, pipe or device.
 pub fn lock_file(path: &Path) -> io::Result<File> {
     match regular(path) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
@@ -63,7 +63,7 @@ pub fn lock_file(path: &Path) -> io::Result<File> {
     }
 }
 
-/// The length of the file at `path`. Fails if it is missing, a folder, a pipe or a device.
+/// The length of the file at `path`. Fails for a missing file, a folder, a pipe or a device.
 pub fn regular(path: &Path) -> io::Result<u64> {
     let metadata = fs::metadata(path)?;
     match metadata.is_file() {

@@ -1,4 +1,4 @@
-//! The files of a dataset: a store, with a cache for remote ones.
+//! The files of a dataset: a store and, for a remote store, a cache.
 
 use crate::cache::DiskCache;
 use crate::digest::Digest;
@@ -6,20 +6,20 @@ use crate::listing::Expected;
 use crate::store::Store;
 use crate::{Counters, DataConfig, Error, StoreError};
 
-/// Attempts to read a file with the expected checksum.
+/// Maximum number of reads until a file has the expected checksum.
 const TRIES: usize = 3;
 
-/// A store, with the cache of a remote one.
+/// A store and, for a remote store, a cache.
 #[derive(Debug)]
 pub(crate) struct Files {
     pub store: Store,
     pub disk: Option<DiskCache>,
-    /// Most concurrent requests; 0 for a local store.
+    /// Maximum number of concurrent requests; 0 for a local store.
     pub concurrency: usize,
 }
 
 impl Files {
-    /// `store` with the disk cache of `config`. A default cache that cannot be opened is a warning.
+    /// `store` with the disk cache of `config`. An unusable default cache only causes a warning.
     pub fn open(
         store: Store,
         config: &DataConfig,
@@ -101,7 +101,7 @@ impl Files {
         };
         if let Some(disk) = &self.disk {
             disk.put(&digest, &bytes);
-            // An object that changed since it was listed has another version.
+            // An object that changed after the listing has another version.
             if matches!(expected, Expected::Version(listed) if *listed == version && !listed.is_empty())
             {
                 disk.put_name(&key(&version), &digest);

@@ -12,7 +12,7 @@ use crate::progress::{OpenProgress, no_progress};
 use crate::scan::Listable;
 use crate::{DataConfig, Dataset, Error, PhraseItem};
 
-/// Summary of a dataset. Numbers describe the usable items.
+/// Summary of a dataset. All numbers refer to usable items.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Inspection {
     /// The dataset's address, or `synthetic` or `synthetic_walks`.
@@ -25,7 +25,7 @@ pub struct Inspection {
     pub items: usize,
     /// Unusable items.
     pub bad_items: usize,
-    /// Valid items that are left out, such as clips of another length.
+    /// Valid items that are left out, such as clips outside the length limits.
     pub left_out: usize,
     /// Training items.
     pub train: usize,
@@ -45,7 +45,7 @@ pub struct Inspection {
     pub channels: usize,
     /// Counts of conditions, by name.
     pub counts: Vec<(String, usize)>,
-    /// Summary of each channel, or group of channels, of the motion, in the dataset's units.
+    /// Summary of each motion channel, or group of channels, in the dataset's units.
     pub motion: Vec<ChannelSummary>,
     /// Summary of each condition.
     pub conditions: Vec<ChannelSummary>,
@@ -71,7 +71,7 @@ pub struct ChannelSummary {
 }
 
 impl ChannelSummary {
-    /// Some channels taken together.
+    /// Summary of several channels together.
     fn of(name: &str, moments: &ChannelMoments, channels: Range<usize>) -> Self {
         let channel = |c: usize| ChannelMoments {
             mean: vec![moments.mean[c]],
@@ -103,7 +103,7 @@ pub struct Problem {
     pub unusable: bool,
 }
 
-/// Measures of one or several items.
+/// Measured values of one or several items.
 #[derive(Deserialize, Serialize)]
 struct Contents {
     motion: Measured,
@@ -137,9 +137,10 @@ impl Contents {
     }
 }
 
-/// Reads every item of the dataset of `config`, regardless of `on_bad_phrase`, and checks each by
-/// both profiles, the strict one with the statistics of the training items (of all, if there are
-/// none). Fails as [`Dataset::open`], but never for a bad item or an empty split.
+/// Reads every item of the dataset of `config`, regardless of `on_bad_phrase`, and checks each item
+/// by both profiles. The strict profile uses the statistics of the training items or, without
+/// training items, of all items. Fails as [`Dataset::open`], but never for a bad item or an empty
+/// split.
 pub fn inspect(config: &DataConfig, progress: OpenProgress) -> Result<Inspection, Error> {
     config.validate()?;
     match config.kind.is_clips() {
@@ -148,7 +149,7 @@ pub fn inspect(config: &DataConfig, progress: OpenProgress) -> Result<Inspection
     }
 }
 
-/// The statistics of the training motion of the dataset of `config`. Fails as [`Dataset::open`].
+/// The training motion statistics of the dataset of `config`. Fails as [`Dataset::open`].
 pub fn statistics(config: &DataConfig) -> Result<Statistics, Error> {
     match config.kind.is_clips() {
         false => Dataset::<PhraseItem>::open(config)?.statistics(),

@@ -22,20 +22,20 @@ pub trait Item: Debug + Send + Sync + 'static {
     /// Size in memory, bytes.
     fn bytes(&self) -> usize;
 
-    /// Its motion as rows of `representation`, `[frames, channels]`.
+    /// The motion as rows of `representation`, `[frames, channels]`.
     fn rows(&self, representation: &Self::Representation) -> Cow<'_, [f32]>;
 
-    /// Its label, such as the dance style.
+    /// The item's label, such as the dance style.
     fn label(&self) -> Option<&str> {
         None
     }
 
-    /// Values of its conditions, by name.
+    /// Values of the conditions, by name.
     fn conditions(&self) -> Vec<(&'static str, &[f32])> {
         Vec::new()
     }
 
-    /// Counts of its conditions, by name.
+    /// Counts of the conditions, by name.
     fn counts(&self) -> Vec<(&'static str, usize)> {
         Vec::new()
     }

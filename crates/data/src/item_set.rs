@@ -1,4 +1,4 @@
-//! Some items of a dataset.
+//! A subset of the items of a dataset.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -15,10 +15,10 @@ use crate::item::Item;
 use crate::item_store::ItemStore;
 use crate::progress::{OpenProgress, report};
 
-/// Items that are measured at a time.
+/// Number of items per measured chunk.
 const CHUNK: usize = 256;
 
-/// Some items of a dataset in the order of their ids, read on demand. Clones share them.
+/// A subset of the items of a dataset, ordered by id and read on demand. Clones share the items.
 #[derive(Debug)]
 pub struct ItemSet<T> {
     store: Arc<ItemStore<T>>,
@@ -68,7 +68,7 @@ impl<T: Item> ItemSet<T> {
         &self.store.entries[self.indices[position]].id
     }
 
-    /// Index of item `position` in the dataset's listing, by which ranks divide the items.
+    /// Index of item `position` in the dataset's listing; ranks divide the items by this index.
     pub(crate) fn number(&self, position: usize) -> usize {
         self.store.entries[self.indices[position]].number
     }
@@ -84,18 +84,19 @@ impl<T: Item> ItemSet<T> {
         labels.collect()
     }
 
-    /// Item `position`. Fails with [`Error::BadItem`] if its files are gone, changed or unreadable.
+    /// Item `position`. Fails with [`Error::BadItem`] if the item's files are gone, changed or
+    /// unreadable.
     pub fn get(&self, position: usize) -> Result<Arc<T>, Error> {
         self.store.get(self.indices[position])
     }
 
-    /// The item `id`; `None` if there is none.
+    /// The item `id`; `None` for an unknown id.
     pub fn find(&self, id: &str) -> Result<Option<Arc<T>>, Error> {
         let position = self.ids().position(|found| found == id);
         position.map(|position| self.get(position)).transpose()
     }
 
-    /// Most items worth reading at once from remote storage; 0 if local.
+    /// Maximum number of items to read at once from remote storage; 0 if local.
     pub(crate) fn concurrency(&self) -> usize {
         self.store.concurrency
     }
@@ -113,20 +114,20 @@ impl<T: Item> ItemSet<T> {
         Self::new(self.store.clone(), indices)
     }
 
-    /// The first `count` of them.
+    /// The first `count` items.
     pub fn first(&self, count: usize) -> Result<Vec<Arc<T>>, Error> {
         let positions = 0..count.min(self.len());
         positions.map(|position| self.get(position)).collect()
     }
 
-    /// `count` of them, evenly spaced, as neighbours are similar.
+    /// `count` evenly spaced items, because neighbors are similar.
     pub fn evenly(&self, count: usize) -> Result<Vec<Arc<T>>, Error> {
         let taken = count.min(self.len());
         let positions = (0..taken).map(|index| index * self.len() / taken);
         positions.map(|position| self.get(position)).collect()
     }
 
-    /// All of them, in memory.
+    /// All items, in memory.
     pub fn load(&self) -> Result<Vec<Arc<T>>, Error> {
         (0..self.len())
             .into_par_iter()
@@ -134,8 +135,8 @@ impl<T: Item> ItemSet<T> {
             .collect()
     }
 
-    /// The statistics of their motion in `representation`; none of no items. Ranks measure a part
-    /// each. Collective. Fails as [`measure_among`](Self::measure_among).
+    /// Motion statistics in `representation`; `None` for an empty set. Each rank measures a part of
+    /// the items. Collective. Fails as [`measure_among`](Self::measure_among).
     pub fn statistics_among(
         &self,
         representation: &T::Representation,
@@ -152,9 +153,9 @@ impl<T: Item> ItemSet<T> {
         Ok(all.map(|all| all.statistics(representation)))
     }
 
-    /// Measures each item on all cores and passes the results to `take` in order. Ranks measure a
-    /// part each and take all. Collective. Fails as [`get`](Self::get); [`Error::Interrupted`];
-    /// [`Error::OtherReader`].
+    /// Measures each item on all cores and passes the results to `take` in order. Each rank
+    /// measures a part of the items and takes all results. Collective. Fails as [`get`](Self::get);
+    /// [`Error::Interrupted`]; [`Error::OtherReader`].
     pub fn measure_among<M: Send + Serialize + DeserializeOwned>(
         &self,
         measure: impl Fn(&T) -> M + Sync,
@@ -163,7 +164,7 @@ impl<T: Item> ItemSet<T> {
         sharing: &dyn Sharing<Error>,
     ) -> Result<(), Error> {
         let measure = |position| Ok(measure(&*self.get(position)?));
-        // The rank that read an item when the dataset was opened has it in memory.
+        // The rank that read an item when the dataset was opened has the item in memory.
         let owner = |position| self.number(position);
         measure_among(self.len(), owner, measure, take, progress, sharing)
     }
@@ -173,8 +174,8 @@ impl<T: Item> ItemSet<T> {
     }
 }
 
-/// Measures `total` items on all cores, each by the rank of its `owner`, and passes the results to
-/// `take` in order. Collective.
+/// Measures `total` items on all cores, each item on the rank of its `owner`, and passes the
+/// results to `take` in order. Collective.
 pub(crate) fn measure_among<M: Send + Serialize + DeserializeOwned>(
     total: usize,
     owner: impl Fn(usize) -> usize,
@@ -196,7 +197,7 @@ pub(crate) fn measure_among<M: Send + Serialize + DeserializeOwned>(
             report(progress, start, total)?;
             own.into_par_iter().map(measure).collect()
         })?;
-        // Includes other ranks' items.
+        // The count includes other ranks' items.
         done.store(end, Ordering::Relaxed);
         measured.into_iter().for_each(&mut take);
     }

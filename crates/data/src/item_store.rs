@@ -1,6 +1,6 @@
 //! The items of an open dataset, read on demand. Opening a dataset reads every item once and
-//! records the checksums of its files. Later an item comes from memory, the disk cache or the
-//! store, with the same checksums: files that change during a run are never trained on.
+//! records the checksums of its files. Later reads from memory, the disk cache or the store must
+//! match these checksums, so training never uses files that change during a run.
 
 use std::fmt::Debug;
 use std::sync::Arc;
@@ -15,14 +15,14 @@ use crate::listing::{Expected, Listed};
 use crate::split::Side;
 use crate::{Counters, Error, FileError};
 
-/// The source of items, and those in memory.
+/// The source of items, and the cached items.
 #[derive(Debug)]
 pub(crate) struct ItemStore<T> {
     pub entries: Vec<Entry>,
     source: Box<dyn ItemSource<T>>,
     memory: MemoryCache<T>,
     pub counters: Arc<Counters>,
-    /// Most items worth reading at once from remote storage; 0 if local.
+    /// Maximum number of items to read at once from remote storage; 0 if local.
     pub concurrency: usize,
 }
 
@@ -31,9 +31,9 @@ pub(crate) struct ItemStore<T> {
 pub(crate) struct Entry {
     pub id: String,
     pub frames: usize,
-    /// Its side of the split, if the dataset defines it.
+    /// The item's side of the split, if the dataset defines the split.
     pub side: Option<Side>,
-    /// Its label, such as the dance style.
+    /// The item's label, such as the dance style.
     pub label: Option<String>,
     /// Checksums of its files.
     content: Vec<Digest>,
@@ -77,7 +77,7 @@ pub(crate) trait ItemSource<T>: Debug + Send + Sync {
         None
     }
 
-    /// Most items worth reading at once from remote storage; 0 if local.
+    /// Maximum number of items to read at once from remote storage; 0 if local.
     fn concurrency(&self) -> usize {
         self.files().map_or(0, |files| files.concurrency)
     }
@@ -87,7 +87,7 @@ pub(crate) trait ItemSource<T>: Debug + Send + Sync {
         false
     }
 
-    /// Everything that determines the items beside their files.
+    /// Everything except the files that determines the items.
     fn fingerprint(&self) -> String {
         String::new()
     }
@@ -98,7 +98,7 @@ pub(crate) struct ReadItem<T> {
     pub item: Arc<T>,
     /// A note about it.
     pub note: Option<String>,
-    /// The reason why a valid item is left out.
+    /// The reason to leave out a valid item.
     pub left_out: Option<String>,
     /// Checksums of its files.
     pub content: Vec<Digest>,
@@ -116,7 +116,7 @@ impl<T> ReadItem<T> {
     }
 }
 
-/// Reads listed item `number` of `source` for the first time.
+/// Reads the listed item `number` of `source` for the first time.
 pub(crate) fn index_item<T: Item>(
     source: &dyn ItemSource<T>,
     listed: &Listed,
@@ -152,7 +152,7 @@ impl<T: Item> ItemSource<T> for InMemory<T> {
 }
 
 impl<T: Item> ItemStore<T> {
-    /// A store of `entries`; `memory` may contain some of them, by their index in the source.
+    /// A store of `entries`; `memory` contains already cached items by their index in the source.
     pub fn new(
         source: Box<dyn ItemSource<T>>,
         entries: Vec<Entry>,
@@ -202,7 +202,7 @@ impl<T: Item> ItemStore<T> {
         self.source.is_memory() || self.memory.contains(self.entries[index].number)
     }
 
-    /// Checksum of all items and of the indices that are `held_out`.
+    /// Checksum of all items and of the `held_out` indices.
     pub fn digest(&self, held_out: &[usize]) -> Digest {
         let fingerprint = self.source.fingerprint();
         let parts = self.entries.iter().enumerate().flat_map(|(index, entry)| {

@@ -9,14 +9,14 @@ use crate::pattern::matches;
 /// The labels of a dataset's phrases.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Labels {
-    /// Labels by patterns of ids, which take precedence.
+    /// Labels by id pattern, which override the dataset's labels.
     patterns: BTreeMap<String, String>,
     /// Labels of the dataset, by id.
     stated: HashMap<String, String>,
 }
 
 impl Labels {
-    /// Labels by `patterns` (`data.labels`) and those `stated` by the dataset.
+    /// Labels from `patterns` (`data.labels`) and from the dataset (`stated`).
     pub fn new(patterns: &BTreeMap<String, String>, stated: HashMap<String, String>) -> Self {
         Self {
             patterns: patterns.clone(),
@@ -24,7 +24,8 @@ impl Labels {
         }
     }
 
-    /// The label of the longest matching pattern, else of the dataset. An empty one is none.
+    /// The label of the longest matching pattern or, without a match, of the dataset. Empty labels
+    /// are `None`.
     pub fn of(&self, id: &str) -> Option<&str> {
         let matching = self.patterns.iter();
         let matching = matching.filter(|(pattern, _)| matches(pattern, id));
@@ -60,7 +61,7 @@ pub(crate) fn check_patterns(patterns: &BTreeMap<String, String>) -> Result<(), 
     Ok(())
 }
 
-/// True if a text can be a label: a word that is not a number and has no comma.
+/// True if a text can be a label: a word without commas that is not a number.
 pub fn is_label(text: &str) -> bool {
     let text = text.trim();
     !text.is_empty() && !text.contains(',') && text.parse::<f64>().is_err()

@@ -2,19 +2,19 @@
 
 use crate::StoreError;
 
-/// Folder of all motion, and the file in each phrase's folder.
+/// Folder of all motion, and the file name in each phrase's folder.
 pub const MOTION_FILE: (&str, &str) = ("motion", "trajectory.npy");
 
-/// Folder of all audio features, and the file in each phrase's folder.
+/// Folder of all audio features, and the file name in each phrase's folder.
 pub const AUDIO_FILE: (&str, &str) = ("audio_features", "features.npz");
 
 /// The table of all phrases.
 pub const MANIFEST: &str = "manifest.parquet";
 
-/// The report of the preparation that writes the dataset.
+/// The preparation report, written with the dataset.
 pub const PREPARATION: &str = "prepare/report.json";
 
-/// Longest id; file systems allow 255 bytes for a name.
+/// Maximum length of an id, bytes; file systems allow 255 bytes for a name.
 const MAX_ID_BYTES: usize = 200;
 
 /// Path of the motion of phrase `id` in its dataset.
@@ -27,7 +27,7 @@ pub fn features_path(id: &str) -> String {
     format!("{}/{id}/{}", AUDIO_FILE.0, AUDIO_FILE.1)
 }
 
-/// Rejects ids that are not plain names. Fails with [`StoreError::Path`].
+/// Rejects ids that are not plain file names. Fails with [`StoreError::Path`].
 pub fn check_id(id: &str) -> Result<(), StoreError> {
     let reason = match id {
         _ if id.contains(['/', '\\']) => "an id has no slash in it",
@@ -41,7 +41,7 @@ pub fn check_id(id: &str) -> Result<(), StoreError> {
     })
 }
 
-/// Rejects paths that are absolute, lead upwards or are ambiguous.
+/// Rejects paths that are absolute, ambiguous or lead upwards.
 pub(crate) fn check_path(path: &str) -> Result<(), StoreError> {
     let is_odd = |c: char| c == '\\' || c.is_control();
     let reason = match path {

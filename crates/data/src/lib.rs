@@ -3,7 +3,7 @@
 //! A phrase dataset is a folder, a bucket or a path on a web server with `motion/ID/trajectory.npy`
 //! (`[frames, 25]`) and `audio_features/ID/features.npz` (six arrays, stacked to `[163, frames]`),
 //! as in CC-MotionGen, section 1.3 (docs/sources.md, section 1.1). Clips in the HumanML3D layout
-//! are in [`humanml`]. [`Dataset`] and [`Loader`] serve both. Batches are host arrays.
+//! are in [`humanml`]. [`Dataset`] and [`Loader`] support both. Batches are host arrays.
 //!
 //! ```
 //! use std::sync::Arc;

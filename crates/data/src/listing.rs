@@ -1,4 +1,4 @@
-//! The phrases of a dataset, from its manifest or its folders.
+//! The phrases of a dataset, from the manifest or the folders.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -10,18 +10,18 @@ use crate::split::Side;
 use crate::store::Store;
 use crate::{Error, StoreError};
 
-/// An item that a dataset should contain.
+/// An item in the listing of a dataset.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Listed {
     pub id: String,
-    /// Its side of the split, if the dataset defines it.
+    /// The item's side of the split, if the dataset defines the split.
     pub side: Option<Side>,
-    /// Its files in the order of its layout; for a phrase, motion and audio features.
+    /// The item's files in layout order; for a phrase, motion and audio features.
     pub files: Vec<Expected>,
 }
 
 impl Listed {
-    /// Synthetic items without files.
+    /// Entries for synthetic items without files.
     pub fn synthetic(items: usize, id: impl Fn(usize) -> String) -> Vec<Self> {
         let listed = |number| Self {
             id: id(number),
@@ -37,12 +37,12 @@ pub(crate) fn ids(listed: &[Listed]) -> impl Iterator<Item = &str> + Clone {
     listed.iter().map(|item| item.id.as_str())
 }
 
-/// Facts about a file before it is read.
+/// The expected checksum or version of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Expected {
-    /// Its checksum, from the manifest.
+    /// The file's checksum, from the manifest.
     Checksum(Digest),
-    /// Version from a listing; empty if unknown.
+    /// The file's version from a listing; empty if unknown.
     Version(String),
 }
 
@@ -62,7 +62,7 @@ pub(crate) struct Listing {
 }
 
 impl Listing {
-    /// Reads the manifest, or lists the folders where there is none.
+    /// Reads the manifest or, without a manifest, lists the folders.
     pub fn read(store: &Store) -> Result<Self, Error> {
         let object = || store.name_of(MANIFEST);
         match manifest::read(store) {
@@ -72,7 +72,7 @@ impl Listing {
                 problem: "it is missing: the dataset's preparation has not ended".to_owned(),
             }),
             Ok(None) => list(store),
-            // Phrases of an older plan may lie beside those of the manifest.
+            // In a prepared dataset, old phrases outside the manifest may remain.
             Err(Error::Feature { .. }) if store.is_writable() && !prepared(store)? => {
                 let mut listing = list(store)?;
                 listing.warnings.push(format!(
@@ -113,7 +113,7 @@ impl Listing {
     }
 }
 
-/// True if `kinegrad data prepare` has started to write here.
+/// True if `kinegrad data prepare` has started to write to this store.
 fn prepared(store: &Store) -> Result<bool, Error> {
     Ok(store.is_writable() && store.find(PREPARATION, u64::MAX - 1)?.is_some())
 }
@@ -123,7 +123,7 @@ fn list(store: &Store) -> Result<Listing, Error> {
         StoreError::Missing(object) => Error::MissingFolder(object.into()),
         error => error.into(),
     };
-    // By `ID/`, the order of listings.
+    // Listings are sorted by `ID/`.
     let mut found: BTreeMap<String, [Option<String>; 2]> = BTreeMap::new();
     for (kind, (folder, file)) in [MOTION_FILE, AUDIO_FILE].into_iter().enumerate() {
         for object in store.list(folder, file).map_err(missing)? {

@@ -18,7 +18,7 @@ pub trait Samples: Clone + Send + Sync + 'static {
     /// Kind of the items.
     type Item: Item;
 
-    /// Data that is read for one sample.
+    /// The data that one sample needs.
     type Read: Send;
 
     /// The items.
@@ -32,14 +32,14 @@ pub trait Samples: Clone + Send + Sync + 'static {
         self.items().is_cached(position)
     }
 
-    /// Reads the data of a sample of item `position`. Fails with [`Error::BadItem`] if its files
-    /// are gone, changed or unreadable.
+    /// Reads the data for a sample of item `position`. Fails with [`Error::BadItem`] if the item's
+    /// files are missing, changed or unreadable.
     fn read(&self, position: usize) -> Result<Self::Read, Error>;
 
-    /// Adds sample `number` of the stream, or, without a number, the validation sample.
+    /// Adds training sample `number` or, without a number, the validation sample.
     fn push(&self, batch: &mut Batch, read: &Self::Read, number: Option<u64>);
 
-    /// The validation samples of the items in `positions`, as one batch. Fails as
+    /// The validation samples of the items at `positions`, in one batch. Fails as
     /// [`read`](Self::read).
     fn collate(&self, positions: std::ops::Range<usize>) -> Result<Batch, Error> {
         let mut batch = Batch::with_capacity(positions.len(), &self.shape());
@@ -50,14 +50,14 @@ pub trait Samples: Clone + Send + Sync + 'static {
     }
 }
 
-/// The batches that a loader returns: in each cycle of `of` batches, `each` from `offset` on.
+/// The batches of a loader: in each cycle of `of` batches, `each` batches from `offset` on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BatchShare {
     /// Number of batches returned before.
     pub done: u64,
-    /// First of its batches in a cycle.
+    /// First batch of this share in a cycle.
     pub offset: u64,
-    /// Number of its batches in a cycle.
+    /// Number of this share's batches in a cycle.
     pub each: u64,
     /// Batches in a cycle.
     pub of: u64,
@@ -74,16 +74,16 @@ impl BatchShare {
         }
     }
 
-    /// The number in the stream of the batch after `done` others.
+    /// The stream number of the batch after `done` returned batches.
     pub fn number(self, done: u64) -> u64 {
         (done / self.each).wrapping_mul(self.of) + self.offset + done % self.each
     }
 }
 
-/// Returns training batches without end. Sample `i` of batch `b` is sample `n = b * batch_size + i`
-/// of the stream: item `n mod P` of epoch `n / P` over the `P` items, cropped and augmented by
-/// randomness keyed by `n`. So a batch follows from its number alone, on resume and with any number
-/// of workers. Batches cross epochs.
+/// An endless stream of training batches. Sample `i` of batch `b` is sample `n = b * batch_size +
+/// i` of the stream: item `n mod P` of epoch `n / P`, for `P` items. The key of the crop and
+/// augmentation is `n`. A batch therefore depends only on its number, also on resume and for any
+/// number of workers. Batches cross epochs.
 pub struct Loader {
     make: Box<dyn FnMut(u64) -> Result<Batch, Error> + Send>,
     share: BatchShare,
@@ -92,16 +92,16 @@ pub struct Loader {
 }
 
 impl Loader {
-    /// A loader of `samples` that begins with batch `first_batch` of the stream of this `seed`.
+    /// A loader of `samples` whose first batch is batch `first_batch` of the stream of this `seed`.
     ///
-    /// `data.num_workers` threads prefetch at most two batches each; with 0, or without threads,
-    /// [`next`](Self::next) makes them, on all cores. Panics without items, or if `config` is not
-    /// valid.
+    /// `data.num_workers` threads prefetch at most two batches each. Without threads,
+    /// [`next`](Self::next) prepares each batch on all cores. Panics without items and for an
+    /// invalid `config`.
     pub fn new(samples: impl Samples, config: &DataConfig, seed: u64, first_batch: u64) -> Self {
         Self::of_share(samples, config, seed, BatchShare::all(first_batch))
     }
 
-    /// A loader of some batches of the stream.
+    /// A loader of a share of the stream's batches.
     pub fn of_share(
         samples: impl Samples,
         config: &DataConfig,
@@ -126,9 +126,9 @@ impl Loader {
         }
     }
 
-    /// The next batch; blocks until it is ready. Fails with [`Error::BadItem`] for an item whose
-    /// files are gone, changed or unreadable since the dataset was opened. Resumes the panic of a
-    /// worker.
+    /// The next batch; blocks until the batch is ready. Fails with [`Error::BadItem`] if the files
+    /// of an item are missing, unreadable or changed since the dataset was opened. Resumes the
+    /// panic of a worker.
     #[expect(
         clippy::should_implement_trait,
         reason = "the stream has no end, so no Option"
@@ -138,7 +138,7 @@ impl Loader {
         Ok(batch.expect("it never stops"))
     }
 
-    /// [`next`](Self::next), or `None` if `stop` becomes true while it waits. Fails as
+    /// [`next`](Self::next), or `None` if `stop` becomes true during the wait. Fails as
     /// [`next`](Self::next).
     pub fn next_unless(&mut self, stop: &dyn Fn() -> bool) -> Result<Option<Batch>, Error> {
         let started = Instant::now();
@@ -166,13 +166,14 @@ impl Loader {
     }
 }
 
-/// Threads that wait for a network, which may exceed the number of cores; `None` for 0.
+/// A pool of threads that wait for a network; the pool may exceed the number of cores. `None` for
+/// 0.
 pub(crate) fn pool(threads: usize) -> Option<ThreadPool> {
     let pool = ThreadPoolBuilder::new().num_threads(threads);
     (threads > 0).then(|| pool.build().ok()).flatten()
 }
 
-/// Makes any batch from its number.
+/// Creates batches from their numbers.
 #[derive(Clone)]
 struct Maker<S> {
     samples: S,
@@ -180,7 +181,7 @@ struct Maker<S> {
     batch_size: usize,
     /// True if the items of a batch are read in parallel.
     all_cores: bool,
-    /// Threads that wait for a network and read the items, shared by all workers.
+    /// Threads for network reads of items, shared by all workers.
     readers: Option<Arc<ThreadPool>>,
 }
 
@@ -196,7 +197,7 @@ impl<S: Samples> Maker<S> {
         }
     }
 
-    /// Batch `number`; reads its items in parallel if that helps.
+    /// Creates batch `number`; reads uncached items in parallel if possible.
     fn make(&mut self, number: u64) -> Result<Batch, Error> {
         let Self { samples, .. } = self;
         let mut batch = Batch::with_capacity(self.batch_size, &samples.shape());
@@ -279,7 +280,7 @@ mod tests {
         let samples = PhraseSamples::new(phrases.into(), statistics, &config, 1);
         let all = batches(&config, 1, 0, 24);
         for rank in 0..3 {
-            // Rows of six batches, two of which are this rank's.
+            // Each rank has two of every six batches.
             let share = BatchShare {
                 done: 0,
                 offset: 2 * rank,

@@ -25,15 +25,16 @@ pub(crate) enum Service {
     Gcs,
     /// `s3://BUCKET/PREFIX`
     S3,
-    /// `http://` and `https://`: objects can only be read.
+    /// `http://` and `https://`, which are read-only.
     Http,
 }
 
 impl Location {
-    /// Reads `source`: a path or a `file://`, `gs://`, `s3://`, `http://` or `https://` URI.
+    /// Parses `source`: a path or a `file://`, `gs://`, `s3://`, `http://` or `https://` URI.
     ///
-    /// [`Error::Scheme`] for another scheme, a `file://` URI with a host, invalid percent escapes,
-    /// and an address without a bucket or host; [`Error::Address`] for credentials or a query.
+    /// Fails with [`Error::Scheme`] for another scheme, a `file://` URI with a host, invalid
+    /// percent escapes, and an address without bucket or host; [`Error::Address`] for credentials
+    /// or a query.
     pub fn parse(source: &str) -> Result<Self, Error> {
         let Some((scheme, rest)) = source.split_once("://") else {
             return Ok(Self::Folder(PathBuf::from(source)));

@@ -2,19 +2,19 @@
 
 /// Largest magnitude of a number, in the units of its file.
 ///
-/// Training multiplies such values in single precision, which ends at 3.4e38. A small network whose
-/// motion and features reach 1e8 overflows in its first steps of recipe `e2e`; at 3e7 it trains.
+/// Training multiplies such values in single precision, up to 3.4e38. A small network overflows
+/// in the first steps of recipe `e2e` if motion and features reach 1e8; with 3e7 it trains.
 pub const LARGEST: f32 = 1e6;
 
 /// True if a value is finite and not too large.
 pub(crate) fn is_usable(value: f32) -> bool {
-    // False for NaN.
+    // The comparison is false for NaN.
     value.abs() <= LARGEST
 }
 
 /// Index of the first unusable value.
 pub(crate) fn first_unusable(values: &[f32]) -> Option<usize> {
-    // Without branches, which is faster for valid data.
+    // A loop without branches is faster for valid data.
     let all = values
         .iter()
         .fold(true, |all, &value| all & is_usable(value));
@@ -24,7 +24,7 @@ pub(crate) fn first_unusable(values: &[f32]) -> Option<usize> {
     }
 }
 
-/// The allowed values in place of an unusable one, and a hint.
+/// A description of the allowed values for an unusable `value`, and a hint.
 pub(crate) fn allowed(value: f32) -> (String, &'static str) {
     match value.is_finite() {
         false => (

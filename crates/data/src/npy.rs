@@ -1,4 +1,4 @@
-//! Reading and writing of `.npy` arrays. No memory is allocated by a header alone.
+//! Reading and writing of `.npy` arrays. The size of allocations never depends on a header alone.
 
 use std::path::Path;
 
@@ -24,7 +24,7 @@ pub struct Array {
 }
 
 /// Reads the array of float32 or float64 numbers in the `.npy` file at `path`. Fails with
-/// [`FileError`] for a file that cannot be read or is no such array.
+/// [`FileError`] for an unreadable file or another kind of array.
 pub fn read_array(path: &Path) -> Result<Array, FileError> {
     let bytes = read_file(path, MAX_ARRAY_BYTES).map_err(FileError::read(path))?;
     parse(&bytes, &path.display().to_string())
@@ -35,7 +35,7 @@ pub fn write_values(path: &Path, shape: &[usize], values: &[f32]) -> Result<(), 
     atomic::write(path, &array_bytes(shape, values))
 }
 
-/// Largest file of an array that is not motion: 4096 x 4096 numbers and a header.
+/// Largest file of a general array: 4096 x 4096 numbers and a header.
 const MAX_ARRAY_BYTES: u64 = 8 * 4096 * 4096 + MAX_HEADER_BYTES as u64;
 
 /// Largest motion file.
@@ -47,13 +47,14 @@ pub(crate) const fn max_bytes(rows: usize) -> u64 {
 }
 
 /// Reads a motion: `[frames, 25]`, at least two frames. Fails with [`FileError`] for an unreadable
-/// file, another dtype or shape, or a truncated file. Values that are not finite are accepted.
+/// or truncated file, and for another dtype or shape. Accepts values that are not finite.
 pub fn read_motion(path: &Path) -> Result<Phrase, FileError> {
     let bytes = read_file(path, MAX_MOTION_BYTES).map_err(FileError::read(path))?;
     parse_motion(&bytes, &path.display().to_string())
 }
 
-/// Parses the bytes of a motion's `.npy` file; `file` names it in errors. Fails as [`read_motion`].
+/// Parses the bytes of a motion's `.npy` file; `file` names the file in errors. Fails as
+/// [`read_motion`].
 pub fn parse_motion(bytes: &[u8], file: &str) -> Result<Phrase, FileError> {
     let array = parse(bytes, file)?;
     let shape = array.shape;
@@ -86,15 +87,15 @@ pub(crate) fn array_bytes(shape: &[usize], values: &[f32]) -> Vec<u8> {
     bytes
 }
 
-/// Parses the bytes of a `.npy` file; `file` names it in errors. Fails with [`FileError`] if the
-/// bytes are not an array of float32 or float64 numbers.
+/// Parses the bytes of a `.npy` file; `file` names the file in errors. Fails with [`FileError`] if
+/// the bytes are not an array of float32 or float64 numbers.
 pub fn parse(bytes: &[u8], file: &str) -> Result<Array, FileError> {
     let mut values = Vec::new();
     let shape = parse_onto(&mut values, bytes, file)?;
     Ok(Array { shape, values })
 }
 
-/// Parses the bytes of a `.npy` file, appends its values to `values` and returns its shape.
+/// Parses the bytes of a `.npy` file, appends the values to `values` and returns the shape.
 pub(crate) fn parse_onto(
     values: &mut Vec<f32>,
     bytes: &[u8],

@@ -16,16 +16,16 @@ use crate::{Error, FileError, atomic};
 /// Largest archive of features.
 pub(crate) const MAX_FEATURES_BYTES: u64 = npy::max_bytes(AUDIO_CHANNELS + BEATS.1) + (1 << 20);
 
-/// Stored: deflating saves 13 % and halves the reading speed.
+/// Members are stored: deflating saves 13 % and halves the reading speed.
 const METHOD: CompressionMethod = CompressionMethod::Stored;
 
-/// Largest ratio of deflate.
+/// Largest compression ratio of deflate.
 const MOST_UNPACKED: usize = 1032;
 
-/// Parses the bytes of a `features.npz` and stacks it to `[channels, frames]` of `layout`
-/// (CC-MotionGen, section 4.3). Other members are ignored; `file` names it in errors. Fails with
-/// [`FileError`] for an unreadable or truncated archive, a missing member, another dtype or shape,
-/// or members of unequal length. Values that are not finite are accepted (see
+/// Parses the bytes of a `features.npz` and stacks the arrays to `[channels, frames]` of `layout`
+/// (CC-MotionGen, section 4.3). Other members are ignored; `file` names the file in errors. Fails
+/// with [`FileError`] for an unreadable or truncated archive, a missing member, another dtype or
+/// shape, and members of unequal length. Accepts values that are not finite (see
 /// [`crate::load_audio`]).
 pub fn parse_features(
     bytes: &[u8],
@@ -54,7 +54,7 @@ pub fn parse_features(
     Ok(features.unwrap_or_else(|| AudioFeatures::silence(layout, frames)))
 }
 
-/// Parses the named arrays of an archive: `[frames, width]` each, of equal length. Fails with
+/// Parses the named arrays of an archive, each `[frames, width]` with the same length. Fails with
 /// [`FileError`], as [`parse_features`].
 pub fn parse_arrays(
     bytes: &[u8],
@@ -89,8 +89,8 @@ pub fn write_features(path: &Path, features: &AudioFeatures) -> Result<(), Error
     atomic::write(path, &features_bytes(features))
 }
 
-/// Writes a song's `stacked` features with its `tempo` `[1]` (beats per minute) and `beat_times`
-/// `[beats]` (seconds), atomically.
+/// Writes a song's `stacked` features, `tempo` `[1]` (beats per minute) and `beat_times` `[beats]`
+/// (seconds) atomically.
 pub fn write_song_features(
     path: &Path,
     features: &Features,
@@ -114,7 +114,7 @@ fn archive(
 ) -> Vec<u8> {
     let frames = features.frames();
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
-    // Without a date, entries have the current time.
+    // Entries without a date would contain the current time.
     let options = SimpleFileOptions::default()
         .compression_method(method)
         .last_modified_time(DateTime::default());
@@ -163,7 +163,7 @@ impl<'a> Archive<'a> {
         })
     }
 
-    /// Appends the values of member `name`, with `rows` values in a frame, and returns its shape.
+    /// Appends the values of member `name`, with `rows` values per frame, and returns the shape.
     fn read(
         &mut self,
         name: &'static str,
@@ -201,7 +201,7 @@ impl<'a> Archive<'a> {
         let unpacked = match entry.compression() {
             CompressionMethod::Stored => packed,
             CompressionMethod::Deflated => {
-                // No more is allocated than the packed bytes can unpack to.
+                // The packed bytes limit the size of the allocation.
                 let length = packed.len();
                 if size > MOST_UNPACKED.saturating_mul(length) {
                     return Err(format!(
@@ -209,7 +209,7 @@ impl<'a> Archive<'a> {
                     ));
                 }
                 if self.unpacked.len() < size {
-                    // One buffer at a time.
+                    // Free the old buffer before the new allocation.
                     self.unpacked = Vec::new();
                     self.unpacked = vec![0; size];
                 }
@@ -264,7 +264,7 @@ impl<'a> Archive<'a> {
     }
 }
 
-/// The frames of a member with `rows` rows; `[frames]` or `[1, frames]` for one row.
+/// The frames of a member with `rows` rows. A single row has shape `[frames]` or `[1, frames]`.
 fn check_shape(shape: &[usize], file: &str, name: &str, rows: usize) -> Result<usize, FileError> {
     let frames = match *shape {
         [frames] if rows == 1 => Some(frames),

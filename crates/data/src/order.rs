@@ -2,12 +2,12 @@
 
 use kinegrad_random::{Key, Purpose};
 
-/// Every epoch visits each item once, in its own order.
+/// Every epoch visits each item once, in a new order.
 #[derive(Clone, Debug)]
 pub(crate) struct Order {
     seed: u64,
     items: usize,
-    /// The latest epoch and its permutation, as a cache; empty before the first item.
+    /// Cache of the latest epoch and its permutation; empty before the first item.
     latest: (u64, Vec<usize>),
 }
 
@@ -21,7 +21,7 @@ impl Order {
         }
     }
 
-    /// The item of sample `n`, by seed, number of items and `n`.
+    /// The item of sample `n`, determined by seed, number of items and `n`.
     pub fn item(&mut self, n: u64) -> usize {
         let epoch = n / self.items as u64;
         let place = (n % self.items as u64) as usize;

@@ -1,6 +1,6 @@
 //! Patterns of ids.
 
-/// True if `text` matches `pattern`, in which `*` stands for any characters, in at most
+/// True if `text` matches `pattern`, in which `*` matches any characters. Takes at most
 /// `pattern.len() * text.len()` steps.
 pub fn matches(pattern: &str, text: &str) -> bool {
     let (pattern, text) = (pattern.as_bytes(), text.as_bytes());
@@ -23,7 +23,7 @@ pub fn matches(pattern: &str, text: &str) -> bool {
     pattern[p..].iter().all(|&byte| byte == b'*')
 }
 
-/// A warning that begins with `key` for each of `patterns` that matches none of `ids`.
+/// A warning, prefixed by `key`, for each of `patterns` that matches no id.
 pub(crate) fn idle<'a>(
     key: &str,
     patterns: impl Iterator<Item = &'a String>,

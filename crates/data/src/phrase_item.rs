@@ -13,20 +13,20 @@ use crate::{FileError, npy, npz};
 /// A phrase: motion `[frames, 25]` and audio features `[channels, frames]` over the same frames.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PhraseItem {
-    /// Name of its folders.
+    /// Id of the phrase, also the name of its folders.
     pub id: String,
     /// Motion in the dataset's units.
     pub motion: Phrase,
     /// Audio features as stored.
     pub audio: AudioFeatures,
-    /// Its label, such as the dance style.
+    /// The phrase's label, such as the dance style.
     pub label: Option<String>,
 }
 
 impl PhraseItem {
-    /// Parses a phrase with audio features of `layout`, from the bytes and names of its files, and
-    /// cuts both to their common length (CC-MotionGen, section 6.1). Also returns a note if they
-    /// differ by more than a frame.
+    /// Parses a phrase with audio features of `layout` from the bytes and names of its files, and
+    /// cuts both files to their common length (CC-MotionGen, section 6.1). Also returns a note if
+    /// the lengths differ by more than a frame.
     pub(crate) fn parse(
         id: &str,
         (motion, name): (&[u8], &str),
@@ -73,7 +73,7 @@ impl PhraseItem {
 }
 
 /// Reads the audio features `[channels, frames]` of a `features.npz`. Fails with [`FileError`] for
-/// an unusable file, or a value that is not finite or exceeds [`LARGEST`](crate::LARGEST).
+/// an unusable file, and for a value that is not finite or exceeds [`LARGEST`](crate::LARGEST).
 pub fn load_audio(path: &Path, layout: AudioLayout) -> Result<AudioFeatures, FileError> {
     let bytes = read_file(path, npz::MAX_FEATURES_BYTES).map_err(FileError::read(path))?;
     let file = path.display().to_string();
@@ -96,7 +96,7 @@ mod tests {
     use super::*;
     use crate::synthetic;
 
-    /// The files of a synthetic phrase with so many frames of each.
+    /// The files of a synthetic phrase, cut to these frame counts.
     fn files(phrase: &PhraseItem, motion_frames: usize, audio_frames: usize) -> (Vec<u8>, Vec<u8>) {
         (
             npy::motion_bytes(&phrase.motion.slice(0..motion_frames)),

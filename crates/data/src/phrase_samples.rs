@@ -1,4 +1,4 @@
-//! From phrases to samples: context, crop, augmentation, normalisation.
+//! Conversion of phrases to samples: context, crop, augmentation, normalization.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use crate::{
     Batch, DataConfig, Error, PhraseItem, PhraseSet, StatisticsOf, StyleConditions, mean_style,
 };
 
-/// Crops of each phrase for statistics.
+/// Number of crops per phrase for statistics.
 const CROPS: u64 = 8;
 
 /// Samples of phrases, conditioned on audio.
@@ -31,7 +31,7 @@ pub struct PhraseSamples {
 }
 
 impl PhraseSamples {
-    /// Samples of `phrases`, normalised by `statistics` and augmented by `config` and `seed`.
+    /// Samples of `phrases`, normalized by `statistics` and augmented by `config` and `seed`.
     pub fn new(
         phrases: PhraseSet,
         statistics: Arc<Statistics>,
@@ -50,21 +50,21 @@ impl PhraseSamples {
         }
     }
 
-    /// Adds conditions on style: the mean of the sample's style channels, and the phrase's label.
+    /// Adds style conditions: the mean of the sample's style channels, and the phrase's label.
     #[must_use]
     pub fn with_style(self, style: StyleConditions) -> Self {
         Self { style, ..self }
     }
 
-    /// Encodes the samples by `targets`, whose statistics they then have.
+    /// Encodes the samples by `targets`; `statistics` must use the same channels.
     #[must_use]
     pub fn with_targets(self, targets: ChannelEncoding) -> Self {
         Self { targets, ..self }
     }
 }
 
-/// Statistics of `phrases`, at least one, in the channels of `targets`: of whole phrases or
-/// training crops, by `config`. Ranks measure a part each. Collective. Fails as
+/// Statistics of `phrases` (at least one) in the channels of `targets`, measured on whole phrases
+/// or training crops, by `config`. Each rank measures a part of the phrases. Collective. Fails as
 /// [`ItemSet::measure_among`](crate::ItemSet::measure_among).
 pub fn target_statistics(
     phrases: PhraseSet,
@@ -72,7 +72,7 @@ pub fn target_statistics(
     config: &DataConfig,
     sharing: &dyn Sharing<Error>,
 ) -> Result<Statistics, Error> {
-    // The same crops in all runs, so that losses compare.
+    // All runs use the same crops, so losses are comparable.
     let sampler = Augmentation::new(config, 0);
     let contexts = ContextWindows::new(phrases, sampler.frames_seen(), config.join_neighbours);
     let measure = |position: usize| -> Result<ChannelMoments, Error> {
@@ -132,7 +132,7 @@ impl Samples for PhraseSamples {
         self.contexts.get(position)
     }
 
-    /// Validation takes the leading crop, without augmentation.
+    /// Validation uses the leading crop, without augmentation.
     fn push(&self, batch: &mut Batch, context: &ContextWindow, number: Option<u64>) {
         let (motion, audio) = match number {
             Some(n) => self.sampler.windows(context, n),
@@ -225,7 +225,7 @@ mod tests {
             })
             .collect();
         let statistics = phrase_statistics(phrases.iter().map(|phrase| &phrase.motion)).unwrap();
-        // An unknown label is no label.
+        // An unknown label counts as no label.
         let known = ["rumba", "waltz"].map(str::to_owned).to_vec();
         let style = StyleConditions::default()
             .with_numbers(&statistics)
@@ -250,7 +250,7 @@ mod tests {
         for (sample, found) in numbers.values.chunks(9).enumerate() {
             let frames = phrases[sample].frames().min(7);
             for (i, &value) in found[..8].iter().enumerate() {
-                // The mean of what the sample's own frames are normalised to.
+                // The expected value is the mean of the sample's normalized frames.
                 let row = &batch.x_start[(sample * CHANNELS + 17 + i) * 7..][..frames];
                 let mean = row.iter().sum::<f32>() / frames as f32;
                 assert!((value - mean).abs() < 1e-4, "{sample} {i}: {value} {mean}");
@@ -280,7 +280,7 @@ mod tests {
             target_statistics(set.clone(), targets, &config, &Alone).unwrap(),
             crops
         );
-        // Training samples lie around zero with unit deviation by these, and not by those.
+        // Only the statistics of crops give training samples with zero mean and unit deviation.
         let deviation = |statistics: &Statistics| {
             let shared = Arc::new(statistics.clone());
             let samples = PhraseSamples::new(set.clone(), shared, &config, 11);

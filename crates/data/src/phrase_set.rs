@@ -22,7 +22,7 @@ use crate::split::Split;
 use crate::store::Store;
 use crate::{DataConfig, DataKind, Error, FileError, PhraseItem, SyntheticConfig, synthetic};
 
-/// Phrases in the order of their ids. A clone is another handle to the same ones.
+/// Phrases in the order of their ids. A clone shares the phrases.
 pub type PhraseSet = ItemSet<PhraseItem>;
 
 impl Item for PhraseItem {
@@ -152,7 +152,7 @@ fn phrase_files(config: &DataConfig) -> Result<Scan<PhraseItem>, Error> {
     })
 }
 
-/// Phrases in the layout of CC-MotionGen, section 1.3, with their audio layout and labels.
+/// Phrases in files (CC-MotionGen, section 1.3), with their audio layout and labels.
 #[derive(Debug)]
 pub(crate) struct PhraseFiles(pub Files, pub AudioLayout, pub Labels);
 
@@ -194,7 +194,7 @@ fn labelled(phrase: PhraseItem, labels: &Labels) -> PhraseItem {
     }
 }
 
-/// Phrases that are synthesised on demand, with their audio layout and labels.
+/// Phrases that are synthesized on demand, with their audio layout and labels.
 #[derive(Debug)]
 pub(crate) struct SyntheticPhrases(pub SyntheticConfig, pub AudioLayout, pub Labels);
 

@@ -8,19 +8,20 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// Finished values that may wait for each worker.
+/// Maximum number of values per worker that wait for the consumer.
 pub(crate) const LOOK_AHEAD_PER_WORKER: usize = 2;
 
 /// Interval at which a waiting consumer checks whether to stop.
 const STOP_INTERVAL: Duration = Duration::from_millis(100);
 
-/// Time that dropping waits for workers.
+/// Time limit for workers to end when a [`Prefetch`] is dropped.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Worker threads that make values 0, 1, 2, ... for a consumer that receives them in order. Workers
-/// run at most the look-ahead in front of the consumer. Dropping ends them.
+/// Worker threads that compute values 0, 1, 2, ... for a consumer that receives them in order.
+/// Workers run ahead of the consumer by at most the look-ahead. Dropping a `Prefetch` ends its
+/// workers.
 pub(crate) struct Prefetch<T> {
-    /// Receivers of the ordered values, in order; or of the panic of a worker.
+    /// Ordered receivers of the requested values, or of a worker's panic.
     ordered: VecDeque<Receiver<thread::Result<T>>>,
     orders: Sender<Order<T>>,
     next_to_order: u64,
@@ -28,12 +29,12 @@ pub(crate) struct Prefetch<T> {
     workers: Vec<JoinHandle<()>>,
 }
 
-/// The number of a value to make, and where to send it.
+/// The number of a requested value, and the channel for the value.
 type Order<T> = (u64, SyncSender<thread::Result<T>>);
 
 impl<T: Send + 'static> Prefetch<T> {
     /// Starts `workers` threads, at least one, on `make(first)`, `make(first + 1)`, ..., each with
-    /// a clone of `make`. `None` if no thread can be started.
+    /// a clone of `make`. Returns `None` if no thread starts.
     pub fn start(
         workers: usize,
         first: u64,
@@ -68,7 +69,7 @@ impl<T: Send + 'static> Prefetch<T> {
         self.next_to_order += 1;
     }
 
-    /// The next value; `None` if `stop` becomes true while it waits.
+    /// The next value; `None` if `stop` becomes true during the wait.
     pub fn next_unless(&mut self, stop: &dyn Fn() -> bool) -> Option<T> {
         let mut wait = Duration::ZERO;
         let made = loop {
@@ -85,18 +86,18 @@ impl<T: Send + 'static> Prefetch<T> {
     }
 }
 
-/// Makes ordered values until stopped. Panics are passed on to the consumer.
+/// Computes requested values until stopped. The consumer resumes the panics of workers.
 fn work<T>(
     orders: &Mutex<Receiver<Order<T>>>,
     stopped: &AtomicBool,
     make: &mut impl FnMut(u64) -> T,
 ) {
-    // Nothing that panics runs under the lock.
+    // No code under the lock panics.
     let next = || orders.lock().unwrap_or_else(PoisonError::into_inner).recv();
     while let Ok((number, place)) = next()
         && !stopped.load(Ordering::Relaxed)
     {
-        // Fails if the consumer no longer waits.
+        // Sending fails if the consumer no longer waits.
         let _ = place.send(catch_unwind(AssertUnwindSafe(|| make(number))));
     }
 }
@@ -104,14 +105,14 @@ fn work<T>(
 impl<T> Drop for Prefetch<T> {
     fn drop(&mut self) {
         self.stopped.store(true, Ordering::Relaxed);
-        // Waiting workers receive no further orders.
+        // Closing the channel ends the waiting workers.
         self.orders = mpsc::channel().0;
         let deadline = Instant::now() + PATIENCE;
         for worker in self.workers.drain(..) {
             while !worker.is_finished() && Instant::now() < deadline {
                 thread::sleep(Duration::from_millis(1));
             }
-            // A worker that waits for a network ends by itself, or with the process.
+            // A worker that waits for a network ends later, or with the process.
             if worker.is_finished() {
                 // Panics were caught.
                 let _ = worker.join();

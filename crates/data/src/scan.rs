@@ -18,16 +18,16 @@ use crate::progress::{OpenProgress, report};
 use crate::split::{Side, Split};
 use crate::{DataConfig, Digest, Error, FileError, OnBadPhrase, StoreError};
 
-/// Items between two progress callbacks on the opening thread.
+/// Number of items between two progress callbacks on the opening thread.
 const CHUNK: usize = 512;
 
 /// A dataset whose items are listed but not read.
 pub(crate) struct Scan<T: Item> {
     /// Representation of the motion.
     pub representation: T::Representation,
-    /// Statistics that come with the dataset.
+    /// Statistics from the dataset's files.
     pub stored_statistics: Option<Statistics>,
-    /// The rule of the split; without one, the dataset's own.
+    /// The rule of the split; `None` for the dataset's own split.
     pub split: Option<Split>,
     pub source: Box<dyn ItemSource<T>>,
     /// Warnings about the dataset.
@@ -35,11 +35,11 @@ pub(crate) struct Scan<T: Item> {
     pub listed: Vec<Listed>,
 }
 
-/// Items that a config can list.
+/// Kinds of items that a config can list.
 pub(crate) trait Listable: Item + Sized {
-    /// Lists the items of a valid `config`. Fails with [`Error::Config`] if `config` is of other items; [`Error::Scheme`], [`Error::Feature`],
-    /// [`Error::Store`], [`Error::Manifest`], [`Error::File`], [`Error::MissingFolder`],
-    /// [`Error::NothingToTrainOn`], [`Error::Io`].
+    /// Lists the items of a valid `config`. Fails with [`Error::Config`] if `config` is for other
+    /// items; [`Error::Scheme`], [`Error::Feature`], [`Error::Store`], [`Error::Manifest`],
+    /// [`Error::File`], [`Error::MissingFolder`], [`Error::NothingToTrainOn`], [`Error::Io`].
     fn scan(config: &DataConfig) -> Result<Scan<Self>, Error>;
 }
 
@@ -60,17 +60,18 @@ pub(crate) struct Gathered<T> {
 enum Outcome {
     /// Usable, with a note.
     Good(Entry, Option<String>),
-    /// Valid, but left out, with the reason.
+    /// A valid item that is left out, with the reason.
     LeftOut(String),
     /// Unusable, with the reason.
     Bad(String),
 }
 
 impl<T: Item> Scan<T> {
-    /// Reads all items, caches as many as `config` allows, and handles bad ones by `on_bad`; if
-    /// `None`, all bad items are collected, including changed ones. Ranks read and cache a part
-    /// each. Fails with [`Error::Store`] if the store fails; [`Error::BadItem`] for the first bad
-    /// item by id; [`Error::Interrupted`]; [`Error::OtherListing`]; [`Error::OtherReader`].
+    /// Reads all items, caches the number that `config` allows, and handles bad items by `on_bad`.
+    /// With `None`, all bad items are collected, including changed items. Each rank reads and
+    /// caches a part of the items. Fails with [`Error::Store`] if the store fails;
+    /// [`Error::BadItem`] for the first bad item by id; [`Error::Interrupted`];
+    /// [`Error::OtherListing`]; [`Error::OtherReader`].
     pub fn gather(
         &self,
         config: &DataConfig,
@@ -158,7 +159,7 @@ impl<T: Item> Scan<T> {
         Ok(gathered)
     }
 
-    /// Rejects datasets that ranks list differently.
+    /// Rejects a dataset if ranks list different items.
     fn must_list_the_same(&self, sharing: &dyn Sharing<Error>) -> Result<(), Error> {
         let own = Digest::of_parts(self.listed.iter().map(|listed| listed.id.as_bytes()));
         let all = sharing.exchange(Ok(own.as_bytes().to_vec()))?;
@@ -193,7 +194,7 @@ impl<T: Item> Scan<T> {
     }
 }
 
-/// True if a store error concerns one item only; `here` for a local store.
+/// True if a store error concerns a single item; `here` is true for a local store.
 fn concerns_one_item(error: &StoreError, here: bool, tolerated: bool) -> bool {
     match error {
         // Other local files may be accessible.

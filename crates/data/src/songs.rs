@@ -6,7 +6,7 @@ use kinegrad_random::{Key, Purpose};
 
 use crate::synthetic;
 
-/// The song of phrase `id`: its `audio_source` in the manifest, else the take in ids
+/// The song of phrase `id`: the `audio_source` in the manifest or, without one, the take in ids
 /// `TAKE_FIRSTFRAME`. Each synthetic phrase has its own music.
 pub fn song_of(id: &str, audio_source: Option<&str>) -> String {
     let synthetic = || {
@@ -18,8 +18,8 @@ pub fn song_of(id: &str, audio_source: Option<&str>) -> String {
     song.unwrap_or_else(take).to_owned()
 }
 
-/// The share `fraction` of `songs` that is held out, in alphabetical order: those with the lowest
-/// hashes of their names, at least one if `fraction` is not 0, never all.
+/// The held-out songs in alphabetical order: the share `fraction` of `songs` with the lowest name
+/// hashes, at least one if `fraction` is not 0, never all.
 pub fn held_out_songs(songs: BTreeSet<String>, fraction: f64) -> Vec<String> {
     let most = songs.len().saturating_sub(1);
     let share = (fraction * songs.len() as f64).round() as usize;

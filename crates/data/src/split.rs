@@ -15,7 +15,7 @@ use crate::{Error, ValidationSplit};
 /// Default share of held-out phrases.
 const DEFAULT_FRACTION: f64 = 0.1;
 
-/// The rule of a [`ValidationSplit`], with its file read.
+/// The rule of a [`ValidationSplit`], with its file already read.
 #[derive(Debug)]
 pub(crate) struct Split {
     patterns: Vec<String>,
@@ -39,10 +39,10 @@ impl fmt::Display for Side {
     }
 }
 
-/// The rule beside the patterns.
+/// The rule of the split, except for patterns.
 #[derive(Debug, PartialEq)]
 enum Rule {
-    /// None: only phrases that match a pattern are held out.
+    /// Only phrases that match a pattern are held out.
     Listed,
     /// A hash of the id.
     Fraction(f64),
@@ -70,11 +70,11 @@ impl Split {
         Ok(Self { patterns, rule })
     }
 
-    /// True if each phrase is held out, by its id and its side in the manifest. Without a side,
-    /// whole songs are held out ([`held_out_songs`]), or single phrases if each is a song or all
-    /// are one.
+    /// For each phrase, given by id and side in the manifest: true if it is held out. Phrases
+    /// without a side are split by whole songs ([`held_out_songs`]), or singly if each phrase is a
+    /// song or all phrases share one song.
     pub fn holds_out(&self, phrases: &[(&str, Option<Side>)]) -> Vec<bool> {
-        // Independent of the run's seed, so that runs compare.
+        // The hash is independent of the run's seed, so runs are comparable.
         let hashed =
             |id: &str, fraction| Key::new(0, Purpose::Split).named(id).uniform() < fraction;
         let unstated = || phrases.iter().filter(|(_, stated)| stated.is_none());
@@ -199,7 +199,7 @@ mod tests {
                 .flat_map(|song| -> Vec<String> { of(song) })
                 .collect()
         };
-        // Phrases of a song lie on one side, of a few songs as of many.
+        // All phrases of a song lie on one side, for few songs and for many.
         for songs in [&["C_2", "W_1"][..], &["a", "b", "c", "d", "e", "f", "g"]] {
             let ids = of(songs, 9);
             let held_out = held_out(&ids);
@@ -209,7 +209,7 @@ mod tests {
                 .collect();
             assert_eq!((held_out.len(), sides.len()), (9, 1), "{held_out:?}");
         }
-        // Sides in the manifest are kept, and do not count.
+        // Sides in the manifest are kept and do not count as songs.
         let stated = [
             ("x_0", Some(Side::Train)),
             ("x_1", None),
@@ -221,7 +221,7 @@ mod tests {
             !flags[0] && flags[1] != flags[2] && flags[2] == flags[3],
             "{flags:?}"
         );
-        // Of one song there is nothing else than its phrases, and synthetic phrases are a song each.
+        // A dataset of one song is split by phrase. Each synthetic phrase is a song.
         let one = of(&["C_2"], 200);
         assert!((5..40).contains(&held_out(&one).len()));
         let synthetic: Vec<String> = (0..200).map(crate::synthetic::id).collect();

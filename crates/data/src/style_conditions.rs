@@ -3,10 +3,11 @@
 use kinegrad_motion::Statistics;
 use kinegrad_motion::phrase::{CHANNELS, STYLE as STYLE_CHANNELS};
 
-/// Name of the condition on the eight normalised style numbers and a 1, `[9, 1]`. Zeros are null.
+/// Name of the condition on style numbers `[9, 1]`: eight normalized numbers and a 1. Zeros are the
+/// null condition.
 pub const STYLE: &str = "style";
 
-/// Name of the condition on the label, `[labels, 1]`, one-hot. Zeros are null.
+/// Name of the condition on the label, `[labels, 1]`, one-hot. Zeros are the null condition.
 pub const LABEL: &str = "label";
 
 /// Style numbers of a phrase.
@@ -21,7 +22,7 @@ pub struct StyleConditions {
 }
 
 impl StyleConditions {
-    /// The same with numbers, normalised by `statistics` of the 25 stored channels.
+    /// Adds style numbers, normalized by `statistics` of the 25 stored channels.
     #[must_use]
     pub fn with_numbers(self, statistics: &Statistics) -> Self {
         let of = |values: &[f64]| {
@@ -34,7 +35,7 @@ impl StyleConditions {
         }
     }
 
-    /// Adds a label of `labels`.
+    /// Adds a label, one of `labels`.
     #[must_use]
     pub fn with_labels(self, labels: Vec<String>) -> Self {
         Self {
@@ -50,13 +51,13 @@ impl StyleConditions {
         numbers.into_iter().chain(labels).collect()
     }
 
-    /// The known labels; none without a condition on them.
+    /// The known labels; `None` without a label condition.
     pub fn labels(&self) -> Option<&[String]> {
         self.labels.as_deref()
     }
 
-    /// The values of each condition, in the order of [`shapes`](Self::shapes), for style `numbers`
-    /// in physical units and a label. Missing or unknown values are null.
+    /// The values of each condition, in the order of [`shapes`](Self::shapes), for a label and
+    /// style `numbers` in physical units. Missing or unknown values give zeros.
     pub fn values(
         &self,
         numbers: Option<[f64; STYLE_NUMBERS]>,
@@ -123,7 +124,7 @@ mod tests {
                 vec![0.0, 1.0]
             ]
         );
-        // No values, and an unknown label, are null.
+        // Missing values and an unknown label give zeros.
         assert_eq!(
             both.values(None, Some("tango")),
             [vec![0.0; 9], vec![0.0; 2]]

@@ -18,7 +18,7 @@ const TEMPO: usize = 6;
 
 /// The features of music played at `speed`, at the times of
 /// [`at_speed`](kinegrad_motion::time_stretch::at_speed), with unchanged pitch. Beat marks and
-/// tempo follow the speed.
+/// tempo change with the speed.
 pub(crate) fn at_speed(audio: &AudioFeatures, speed: f64) -> AudioFeatures {
     let from = audio.frames();
     let frames = frames_at_speed(from, speed);
@@ -48,7 +48,7 @@ pub(crate) fn at_speed(audio: &AudioFeatures, speed: f64) -> AudioFeatures {
                 beats[circle.start * frames + t] = (TAU * at).sin() as f32;
                 beats[(circle.start + 1) * frames + t] = (TAU * at).cos() as f32;
                 if circle == BEAT {
-                    // A beat falls within half a frame.
+                    // A beat mark covers beats within half a frame.
                     let [first, last] =
                         [-0.5, 0.5].map(|half| place(moment + half * speed).map(f64::floor));
                     beats[MARK * frames + t] = f32::from(u8::from(first < last));
@@ -57,7 +57,7 @@ pub(crate) fn at_speed(audio: &AudioFeatures, speed: f64) -> AudioFeatures {
         }
         for (t, &(a, _, _)) in moments.iter().enumerate() {
             beats[BAR_KNOWN * frames + t] = source(BAR_KNOWN)[a];
-            // The logarithm of the tempo; zero without beats.
+            // Channel `TEMPO` is the logarithm of the tempo; zero without beats.
             if source(BEAT.start)[a].hypot(source(BEAT.start + 1)[a]) > 0.5 {
                 beats[TEMPO * frames + t] += speed.log2() as f32;
             }
@@ -66,7 +66,7 @@ pub(crate) fn at_speed(audio: &AudioFeatures, speed: f64) -> AudioFeatures {
     AudioFeatures::new(frames, values).expect("as many channels as before")
 }
 
-/// Unwrapped positions on a circle of sines and cosines; none where both are zero.
+/// Unwrapped positions on a circle from sines and cosines; `None` where both are zero.
 fn unwrapped(sine: &[f32], cosine: &[f32]) -> Vec<Option<f64>> {
     let mut before: Option<f64> = None;
     let place = |(&s, &c): (&f32, &f32)| {
@@ -77,7 +77,7 @@ fn unwrapped(sine: &[f32], cosine: &[f32]) -> Vec<Option<f64>> {
     sine.iter().zip(cosine).map(place).collect()
 }
 
-/// The position at a time in frames, inter- or extrapolated.
+/// The interpolated or extrapolated position at `moment`, in frames.
 fn position(places: &[Option<f64>], moment: f64) -> Option<f64> {
     if places.len() < 2 {
         return places[0];
@@ -126,7 +126,7 @@ mod tests {
 
     #[test]
     fn each_beat_is_marked_once_whatever_the_intervals() {
-        // Not one interval like the next.
+        // All intervals differ from their neighbors.
         let beats: Vec<f64> = (0..20)
             .map(|beat| 0.13 + 0.5 * f64::from(beat) + 0.04 * f64::from(beat * 7 % 3))
             .collect();
@@ -160,7 +160,7 @@ mod tests {
             assert_eq!(played.channel(channel), [0.0, 2.5, 5.0, 7.5, 10.0]);
         }
         assert_eq!(at_speed(&song, 1.0), song);
-        // A song of which no beats are known stays without.
+        // A song without known beats has no beats at another speed.
         let silent = AudioFeatures::silence(AudioLayout::WITH_BEATS, 9);
         let played = at_speed(&silent, 0.5);
         assert!(played.as_slice().iter().all(|value| *value == 0.0));

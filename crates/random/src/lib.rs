@@ -1,10 +1,10 @@
 //! Stateless randomness: every sample is a function of a [`Key`], and a key is a function of the
-//! run's seed and the purpose.
+//! run's seed and of the purpose.
 //!
-//! A generator with a state must be saved for a resume, and its numbers change with the number of
-//! workers. Here nothing is saved: the noise of micro-batch 2 of step 700 is `Key::new(seed,
-//! Purpose::Noise).at(700).at(2)`, independent of caller, order and device. A killed run continues
-//! bit for bit, and a batch is the same with any number of loader workers.
+//! A resume must restore a stateful generator, whose numbers also depend on the number of workers.
+//! This crate saves no state: the noise of micro-batch 2 of step 700 is `Key::new(seed,
+//! Purpose::Noise).at(700).at(2)`, independent of caller, order and device. A resumed run continues
+//! bit for bit, and a batch is the same for any number of loader workers.
 //!
 //! ```
 //! use kinegrad_random::{Key, Purpose};
@@ -17,9 +17,10 @@ use rand::{Rng, RngExt, SeedableRng, seq::SliceRandom};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// Purpose of a random number. Each has its own stream, so a new sample for one changes no other.
+/// Purpose of a random number. Each purpose has its own stream, so a new sample of one purpose
+/// changes no other stream.
 ///
-/// The discriminants are part of the reproducibility of existing runs: append, never renumber.
+/// Existing runs depend on the discriminants: append new ones, never renumber.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u64)]
 pub enum Purpose {
@@ -53,9 +54,9 @@ pub enum Purpose {
     RolloutNoise = 14,
     /// Dropout masks of the decoder, keyed by step, micro-batch, call and layer.
     DecoderDropout = 15,
-    /// Seed of the samples of one phrase, keyed by its id.
+    /// Seed of a phrase's samples, keyed by the phrase's id.
     PhraseSeed = 16,
-    /// Noise in the place of a phrase's audio features, keyed by its id.
+    /// Noise that replaces a phrase's audio features, keyed by the phrase's id.
     NoiseCondition = 17,
     /// Matrix of an emphasis projection.
     Emphasis = 18,
@@ -63,7 +64,7 @@ pub enum Purpose {
     Pairs = 19,
     /// The caption of a motion, keyed by sample.
     Caption = 20,
-    /// Shuffled frames and other songs in place of a phrase's music, keyed by its id.
+    /// Shuffled frames and other songs that replace a phrase's music, keyed by the phrase's id.
     Listening = 21,
     /// Phrases of a bootstrap, keyed by resample.
     Bootstrap = 22,
@@ -71,13 +72,13 @@ pub enum Purpose {
     BeatOffset = 23,
     /// Dropped style conditions of classifier-free guidance, keyed by step and micro-batch.
     StyleDropout = 24,
-    /// Noise that matching by patches starts from.
+    /// Initial noise of patch matching.
     Matching = 25,
-    /// Frames of a goal's keyframes, keyed by the clip's id.
+    /// Frame numbers of a goal's keyframes, keyed by the clip's id.
     GoalFrames = 26,
-    /// The order in which motions and captions are divided into pools.
+    /// Order in which motions and captions are divided into pools.
     Pools = 27,
-    /// Vectors of words that have no published ones, keyed by the word.
+    /// Vectors of words without published vectors, keyed by the word.
     WordVectors = 28,
     /// Halves of held-out clips.
     Halves = 29,
@@ -85,11 +86,11 @@ pub enum Purpose {
     HistoryDrift = 30,
 }
 
-/// The name of one stream of random numbers: a seed, a [`Purpose`] and any number of counters.
+/// The name of a random number stream: a seed, a [`Purpose`] and any number of counters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Key([u64; 4]);
 
-/// The finaliser of SplitMix64, a bijection of 64-bit words.
+/// The finalizer of SplitMix64, a bijection of 64-bit words.
 fn mix(mut x: u64) -> u64 {
     x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
@@ -109,7 +110,8 @@ impl Key {
         .at(purpose as u64)
     }
 
-    /// The key one level below: step of a run, micro-batch of a step, layer of a network.
+    /// The key one level below, by number: step of a run, micro-batch of a step, layer of a
+    /// network.
     #[must_use]
     pub fn at(self, counter: u64) -> Self {
         let mut words = self.0;
@@ -122,7 +124,7 @@ impl Key {
         Self(words)
     }
 
-    /// The key one level below, named by text (a parameter's name, a phrase's id).
+    /// The key one level below, by name: a parameter's name, a phrase's id.
     #[must_use]
     pub fn named(self, name: &str) -> Self {
         name.bytes().fold(self.at(name.len() as u64), |key, byte| {
@@ -161,7 +163,7 @@ impl Key {
         (0..n).map(|_| rng.random()).collect()
     }
 
-    /// `n` integers from `0..bound`, each equally likely. Panics if `bound` is zero.
+    /// `n` uniformly distributed integers from `0..bound`. Panics if `bound` is zero.
     pub fn integers(self, n: usize, bound: usize) -> Vec<usize> {
         let mut rng = self.rng();
         (0..n).map(|_| rng.random_range(0..bound)).collect()
@@ -174,7 +176,7 @@ impl Key {
         order
     }
 
-    /// An inverted-dropout mask: `1 / (1 - prob)` where an element survives, else 0.
+    /// An inverted-dropout mask: `1 / (1 - prob)` for a surviving element, else 0.
     pub fn dropout_mask(self, n: usize, prob: f64) -> Vec<f32> {
         let mut rng = self.rng();
         let threshold = (prob * 2f64.powi(32)) as u64;

@@ -1,17 +1,17 @@
 //! CPU affinity of processes.
 
-/// Words of a set of cores, as many as the system's own sets have bits.
+/// Number of words in a set of cores, as in the system's own sets.
 pub const WORDS: usize = 16;
 
-/// A set of cores, a bit each.
+/// A set of cores, one bit per core.
 pub type Cores = [u64; WORDS];
 
-/// The cores that this process may run on; all if they are unknown.
+/// The cores on which this process may run; all cores if unknown.
 pub fn own() -> Cores {
     #[cfg(target_os = "linux")]
     {
         let mut cores: Cores = [0; WORDS];
-        // SAFETY: the call writes at most the given number of bytes, the size of the set.
+        // SAFETY: the call writes at most `size_of::<Cores>()` bytes, the size of `cores`.
         #[allow(unsafe_code)]
         let found =
             unsafe { libc::sched_getaffinity(0, size_of::<Cores>(), cores.as_mut_ptr().cast()) };

@@ -1,7 +1,7 @@
-//! Processes that train one run, and their communication.
+//! Processes of one training run, and their communication.
 //!
-//! Methods of [`Ranks`] marked as collective are called by all ranks in the same order. Sums follow
-//! one [tree](split) for any number of ranks, so two or four of them produce the same bytes as one.
+//! All ranks call the collective methods of [`Ranks`] in the same order. Sums follow one
+//! [tree](split) for any number of ranks, so two or four ranks produce the same bytes as one rank.
 
 #[cfg(feature = "mpi")]
 mod cores;
@@ -18,14 +18,15 @@ pub use self::mpi::Mpi;
 pub use sharing::{Sharing, from_bytes, shared, to_bytes};
 pub use tree::{add, pairwise, pairwise_with, split};
 
-/// A process among those on its machine, which share cores and GPUs.
+/// The position of a process among the processes on its machine, which share cores and GPUs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Local {
-    /// Its number, from 0.
+    /// Number of this process, from 0.
     pub rank: usize,
-    /// Number of these processes.
+    /// Number of processes on the machine.
     pub size: usize,
-    /// Number of them that may run on its cores: all, unless the launcher binds them.
+    /// Number of processes that may run on this process's cores: all, unless the launcher binds
+    /// processes.
     pub sharing: usize,
 }
 
@@ -34,11 +35,11 @@ pub struct Local {
 pub enum Receivers {
     /// Every rank.
     All,
-    /// The first, which writes.
+    /// The first rank, which writes files.
     First,
 }
 
-/// Processes that train one run.
+/// The processes of one training run.
 pub trait Ranks: Debug {
     /// Number of this process, from 0.
     fn rank(&self) -> usize;
@@ -46,7 +47,7 @@ pub trait Ranks: Debug {
     /// Number of processes.
     fn size(&self) -> usize;
 
-    /// This process among those on its machine.
+    /// The position of this process on its machine.
     fn local(&self) -> Local {
         Local {
             rank: 0,
@@ -58,20 +59,20 @@ pub trait Ranks: Debug {
     /// Gathers the bytes of every rank, in rank order. Collective.
     fn gather(&self, own: &[u8]) -> Vec<Vec<u8>>;
 
-    /// Gathers the values of each rank, `lengths[r]` of rank r, concatenated into `values` of the
-    /// receivers; `values` of other ranks are unchanged. Collective.
+    /// Gathers `lengths[r]` values of each rank r, concatenated, into `values` of the receivers.
+    /// Other ranks keep `values` unchanged. Collective.
     fn gather_into(&self, own: &[f32], lengths: &[usize], to: Receivers, values: &mut [f32]);
 
-    /// Reduce-scatter: `values` holds `lengths[r]` values for rank r, concatenated, all lengths
-    /// equal. The own part is replaced by its sum over the ranks in [pairwise] order, which
-    /// `MPI_Reduce_scatter` does not guarantee. `received` is a reused buffer. Collective.
+    /// Reduce-scatter: `values` contains `lengths[r]` values for each rank r, concatenated; all
+    /// lengths are equal. The rank's own part becomes its sum over the ranks in [pairwise] order,
+    /// which `MPI_Reduce_scatter` does not guarantee. `received` is a reused buffer. Collective.
     fn scatter_sums(&self, values: &mut [f32], lengths: &[usize], received: &mut Vec<f32>);
 
-    /// All-gather: replaces the parts of `values`, `lengths[r]` of rank r, by those of their ranks.
+    /// All-gather: each rank r sends its own part of `values`, `lengths[r]` values, to all ranks.
     /// `sent` is a reused buffer. Collective.
     fn gather_parts(&self, values: &mut [f32], lengths: &[usize], sent: &mut Vec<f32>);
 
-    /// Ends all ranks after a panic, as the others would wait forever.
+    /// Ends all ranks after a panic; otherwise the other ranks would wait forever.
     fn abort(&self, code: i32) -> !;
 
     /// True if this process writes files and messages.
@@ -79,8 +80,8 @@ pub trait Ranks: Debug {
         self.rank() == 0
     }
 
-    /// The consecutive part of `count` items of this rank, equal for all ranks. Panics if the
-    /// number of ranks does not divide them.
+    /// This rank's consecutive share of `count` items; all shares are equal. Panics if `count` is
+    /// not divisible by the number of ranks.
     fn share(&self, count: u64) -> Range<u64> {
         let (rank, size) = (self.rank() as u64, self.size() as u64);
         assert_eq!(count % size, 0, "{size} ranks share {count}");

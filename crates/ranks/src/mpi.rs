@@ -11,18 +11,18 @@ use mpi::{Count, Threading};
 use crate::cores;
 use crate::{Local, Ranks, Receivers, pairwise_with};
 
-/// The processes that `mpirun` or `srun` has started.
+/// The processes started by `mpirun` or `srun`.
 pub struct Mpi {
     world: SimpleCommunicator,
     local: Local,
-    /// Ends MPI when it is dropped, last.
+    /// Dropping the universe ends MPI, so it is the last field.
     _universe: Universe,
 }
 
 impl Mpi {
-    /// This process among those of its job; none if MPI has been started before.
+    /// This process of the MPI job; `None` if MPI is already running.
     pub fn start() -> Option<Self> {
-        // Threads compute; only the training thread communicates.
+        // Threads only compute; the training thread alone communicates.
         let (universe, provided) = mpi::initialize_with_threading(Threading::Funneled)?;
         assert!(
             provided >= Threading::Funneled,
@@ -55,7 +55,7 @@ impl Mpi {
     }
 }
 
-/// Numbers of elements in a row, and where each begins.
+/// Lengths and start offsets of concatenated parts.
 fn places(lengths: impl Iterator<Item = usize>) -> (Vec<Count>, Vec<Count>) {
     let mut end = 0;
     let place = |length: usize| {
@@ -67,7 +67,7 @@ fn places(lengths: impl Iterator<Item = usize>) -> (Vec<Count>, Vec<Count>) {
     lengths.map(place).unzip()
 }
 
-/// Bytes that all ranks together send in a round: counts of MPI end at two thousand million.
+/// Number of bytes that all ranks together send per round. MPI counts end near 2e9.
 const ROUND: usize = 1 << 30;
 
 impl fmt::Debug for Mpi {
@@ -128,7 +128,7 @@ impl Ranks for Mpi {
     fn scatter_sums(&self, values: &mut [f32], lengths: &[usize], received: &mut Vec<f32>) {
         let (rank, size) = (self.rank(), self.size());
         let each = lengths[rank];
-        // The own part is not sent: it is added in place.
+        // This rank's part is added in place and not sent.
         let (mut counts, starts) = places(lengths.iter().copied());
         counts[rank] = 0;
         let from = places((0..size).map(|of| if of == rank { 0 } else { each }));
@@ -148,7 +148,7 @@ impl Ranks for Mpi {
         // MPI forbids overlapping send and receive buffers.
         sent.clear();
         sent.extend_from_slice(&values[first..first + lengths[rank]]);
-        // Each other rank receives all of it.
+        // Each other rank receives this rank's whole part.
         let to = (0..size).map(|of| if of == rank { 0 } else { each });
         let (to, from_first) = (to.collect::<Vec<Count>>(), vec![0; size]);
         let sent = Partition::new(&sent[..], &to[..], &from_first[..]);

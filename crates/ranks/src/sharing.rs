@@ -1,4 +1,4 @@
-//! Work that ranks share, where any of them may fail.
+//! Work that ranks share; any rank may fail.
 
 use std::ops::Range;
 
@@ -15,8 +15,8 @@ pub trait Sharing<E> {
     /// Number of ranks.
     fn size(&self) -> usize;
 
-    /// Gathers a value of every rank, in rank order. Collective. Fails with the own error, or the
-    /// failure of another rank.
+    /// Gathers a value of every rank, in rank order. Collective. Fails with this rank's error or
+    /// another rank's failure.
     fn exchange(&self, own: Result<Vec<u8>, E>) -> Result<Vec<Vec<u8>>, E>;
 }
 
@@ -34,10 +34,10 @@ impl<E> Sharing<E> for Alone {
     }
 }
 
-/// Computes results of numbered items: `work` gets the items of this rank and returns one result
-/// each. Item n belongs to rank `owner(n)`, modulo the number of ranks. All ranks receive all
+/// Computes results of numbered items: `work` takes the items of this rank and returns one result
+/// per item. Item n belongs to rank `owner(n)`, modulo the number of ranks. All ranks receive all
 /// results in order. Collective. Fails as [`Sharing::exchange`]. Panics if another rank shares
-/// something else.
+/// other work.
 pub fn shared<T, E>(
     sharing: &dyn Sharing<E>,
     numbers: Range<usize>,
@@ -64,7 +64,7 @@ where
         .collect())
 }
 
-/// A value as bytes, which may contain numbers that are not finite.
+/// A value as bytes, including numbers that are not finite.
 pub fn to_bytes(value: &impl Serialize) -> Vec<u8> {
     let mut bytes = Vec::new();
     ciborium::into_writer(value, &mut bytes).expect("plain data");
@@ -80,7 +80,7 @@ pub fn from_bytes<T: DeserializeOwned>(bytes: &[u8]) -> T {
 mod tests {
     use super::*;
 
-    /// The last of three ranks, with the results of the others.
+    /// The last of three ranks, and the other ranks' results.
     struct Last(Vec<Vec<u8>>);
 
     impl Sharing<String> for Last {
@@ -104,7 +104,7 @@ mod tests {
         let broken = [f64::NAN, f64::INFINITY, -0.0, 0.1, f64::MIN_POSITIVE / 2.0];
         let square = |n: usize| (n * n, broken.to_vec());
         let of = |own: &[usize]| to_bytes(&own.iter().map(|&n| square(n)).collect::<Vec<_>>());
-        // Of four things from 10 on, rank 0 has two.
+        // Rank 0 has two of the four items 10 to 13.
         let last = Last(vec![of(&[10, 13]), of(&[11])]);
         let mut assigned = Vec::new();
         let all = shared(

@@ -1,7 +1,7 @@
 //! Sums in one order for any number of ranks.
 
-/// Sizes of the two parts of a sum of `count` terms, the larger one first. The halves of an even
-/// number are equal, so each of 2^k ranks with equally many consecutive terms sums a branch.
+/// Sizes of the two parts of a sum of `count` terms, the larger part first. An even number is
+/// halved, so each of 2^k ranks with the same number of consecutive terms sums a branch.
 pub fn split(count: u64) -> [u64; 2] {
     let first = count.div_ceil(2);
     [first, count - first]
@@ -15,8 +15,8 @@ pub fn add(sum: &mut [f32], other: &[f32]) {
     }
 }
 
-/// Adds concatenated rows of `each` terms in the order of [`split`]; the sum replaces the first
-/// row, the others are consumed. Panics if `rows` is not whole rows, or empty.
+/// Adds concatenated rows of `each` terms in the order of [`split`]. The sum replaces the first
+/// row; the other rows are consumed. Panics if `rows` is empty or ends within a row.
 pub fn pairwise(rows: &mut [f32], each: usize) {
     let count = rows.len() / each;
     assert_eq!((count.max(1)) * each, rows.len(), "whole rows");
@@ -29,9 +29,9 @@ pub fn pairwise(rows: &mut [f32], each: usize) {
     }
 }
 
-/// Adds row `own`, number `place` of all, and the concatenated `others`, which are consumed, in the
-/// order of [`pairwise`]. The sum replaces `own`. Panics if `others` is not whole rows, or `place`
-/// is out of range.
+/// Adds row `own`, number `place` of all rows, and the concatenated `others` in the order of
+/// [`pairwise`]. The sum replaces `own`; `others` are consumed. Panics if `others` ends within a
+/// row, or `place` is out of range.
 pub fn pairwise_with(own: &mut [f32], place: usize, others: &mut [f32]) {
     let each = own.len();
     if each == 0 {
@@ -68,7 +68,7 @@ mod tests {
         rows[..each].to_vec()
     }
 
-    /// Terms whose sum depends on the order in which they are added.
+    /// Terms whose sum depends on the order of additions.
     fn terms(count: u64) -> Vec<Vec<f32>> {
         let term = |n: u64| {
             let value =

@@ -10,7 +10,7 @@ use toml::{Spanned, Table, Value};
 use crate::InvalidSetting;
 use crate::words::in_words;
 
-/// The place of a dotted key, such as `FILE:LINE`.
+/// The location of a dotted key, such as `FILE:LINE`.
 pub type Place<'a> = &'a dyn Fn(&str) -> String;
 
 /// An invalid document.
@@ -33,12 +33,12 @@ pub enum DocumentError {
         place: String,
         /// The dotted key.
         key: String,
-        /// The keys of that table.
+        /// The allowed keys of the table.
         allowed: String,
         /// The nearest valid key, if one is near.
         hint: String,
     },
-    /// A value of the wrong type, or not among those allowed.
+    /// A value that has the wrong type or is not allowed.
     #[error("{place}: `{key}`: {message}")]
     #[diagnostic(help("{hint}"))]
     Value {
@@ -46,26 +46,26 @@ pub enum DocumentError {
         place: String,
         /// The dotted key.
         key: String,
-        /// The value found and what is allowed.
+        /// The found value and the allowed values.
         message: String,
         /// The remedy.
         hint: String,
     },
-    /// A value of the right type that cannot work.
+    /// A value of the right type that is invalid.
     #[error("{place}: {setting}")]
     #[diagnostic(help("{}", setting.hint))]
     Setting {
         /// File and line.
         place: String,
-        /// The key, the value found, and what is allowed.
+        /// The key, the found value and the allowed values.
         setting: InvalidSetting,
     },
 }
 
-/// A TOML document with the lines of its keys.
+/// A TOML document and the lines of its keys.
 pub struct Document<'a> {
     text: &'a str,
-    /// The file, for errors.
+    /// The file name in errors.
     origin: &'a str,
     spans: Spanned<DeTable<'a>>,
     /// Its values.
@@ -73,15 +73,15 @@ pub struct Document<'a> {
 }
 
 impl<'a> Document<'a> {
-    /// The document in `text`; errors name `origin`, its file. Fails with [`DocumentError::Syntax`]
-    /// with the line.
+    /// Parses the document in `text`; errors name `origin`, the document's file. Fails with
+    /// [`DocumentError::Syntax`], which names the line.
     pub fn parse(text: &'a str, origin: &'a str) -> Result<Self, DocumentError> {
         let no_toml = |error: toml::de::Error| DocumentError::Syntax {
             place: error.span().map_or(origin.to_owned(), |span| {
                 format!("{origin}:{}", line_of(text, span.start))
             }),
             message: match error.message() {
-                // Numbers that are too large are an error of a type.
+                // The parser reports numbers that are too large as a type error.
                 message if message.starts_with("invalid type") => in_words(message),
                 message => message.to_owned(),
             },
@@ -102,9 +102,9 @@ impl<'a> Document<'a> {
         }
     }
 
-    /// Its values as a `T`. `help` is the hint of errors without a nearest valid name. The error
-    /// names the first key that is unknown, or whose value is not finite, of another type, or a
-    /// list in the place of a table.
+    /// The document's values as a `T`. `help` is the hint of errors without a similar valid name.
+    /// The error names the first key that is unknown or has an invalid value: one that is not
+    /// finite, has another type, or is a list instead of a table.
     pub fn read<T: DeserializeOwned + Serialize>(&self, help: &str) -> Result<T, DocumentError> {
         let place: Place<'_> = &|key| self.place(key);
         must_be_finite(&self.table, place)?;
@@ -113,7 +113,7 @@ impl<'a> Document<'a> {
         Ok(read)
     }
 
-    /// The error of a setting that cannot work, with its line.
+    /// The error of an invalid setting, with the setting's line.
     pub fn refuse(&self, setting: InvalidSetting) -> DocumentError {
         DocumentError::Setting {
             place: self.place(&setting.key),
@@ -122,7 +122,7 @@ impl<'a> Document<'a> {
     }
 }
 
-/// [`Document::parse`], then [`Document::read`]. Fails as these.
+/// [`Document::parse`], then [`Document::read`]. Fails as both.
 pub fn read_toml<T: DeserializeOwned + Serialize>(
     text: &str,
     origin: &str,
@@ -131,9 +131,9 @@ pub fn read_toml<T: DeserializeOwned + Serialize>(
     Document::parse(text, origin)?.read(help)
 }
 
-/// Deserialises `table`. `beside` lists, by table, keys that another type reads. The error names
-/// the first key that is unknown or whose value is of another type; `help` is its hint unless a
-/// valid name is near.
+/// Deserializes `table`. `beside` lists, by table, the keys that another type reads. The error
+/// names the first key that is unknown or has a value of another type; `help` is the hint unless a
+/// similar valid name exists.
 pub fn from_table<T: DeserializeOwned>(
     table: &Table,
     place: Place<'_>,
@@ -200,7 +200,7 @@ fn explain(
     }
 }
 
-/// The error of a value that is none of the `names` that `key` may have.
+/// The error of a value that is not in `names`, the allowed values of `key`.
 pub fn not_among(place: String, key: &str, found: &str, names: &[&str]) -> DocumentError {
     DocumentError::Value {
         place,
@@ -213,15 +213,15 @@ pub fn not_among(place: String, key: &str, found: &str, names: &[&str]) -> Docum
     }
 }
 
-/// The one of `allowed` that is most similar to `found`, if any is.
+/// The name in `allowed` that is most similar to `found`, if any is similar.
 pub fn nearest<'a>(found: &str, allowed: &[&'a str]) -> Option<&'a str> {
     let similar = |name: &&'a str| (strsim::jaro_winkler(found, name), *name);
     let near = allowed.iter().map(similar).filter(|near| near.0 > 0.75);
     near.max_by(|a, b| a.0.total_cmp(&b.0)).map(|near| near.1)
 }
 
-/// Rejects numbers that are not finite, which JSON cannot represent. The error names the first such
-/// key.
+/// Rejects numbers that are not finite, because JSON cannot represent them. The error names the
+/// first such key.
 pub fn must_be_finite(table: &Table, place: Place<'_>) -> Result<(), DocumentError> {
     let mut entries = table.iter();
     match entries.find_map(|(key, value)| not_finite(key.clone(), value)) {
@@ -235,7 +235,7 @@ pub fn must_be_finite(table: &Table, place: Place<'_>) -> Result<(), DocumentErr
     }
 }
 
-/// Key and value of the first number in `value`, at `key`, that is not finite.
+/// Key and value of the first number in `value` (at `key`) that is not finite.
 fn not_finite(key: String, value: &Value) -> Option<(String, f64)> {
     match value {
         Value::Float(number) => (!number.is_finite()).then_some((key, *number)),
@@ -251,8 +251,8 @@ fn not_finite(key: String, value: &Value) -> Option<(String, f64)> {
     }
 }
 
-/// Rejects a list where a table is expected: serde would assign its elements to fields in order. `read`
-/// is what serde made of `table`. The error names the first such key.
+/// Rejects a list instead of a table, because serde would assign the list's elements to fields in
+/// order. `read` is the result of serde for `table`. The error names the first such key.
 pub fn must_be_tables(
     table: &Table,
     read: &impl Serialize,
@@ -272,8 +272,8 @@ pub fn must_be_tables(
     }
 }
 
-/// Key and length of the first list in `table`, whose keys begin with `prefix`, where `read` has a
-/// table.
+/// Key and length of the first list in `table` that is a table in `read`. The keys of `table` begin
+/// with `prefix`.
 fn list_for_table(prefix: &str, table: &Table, read: &Table) -> Option<(String, usize)> {
     table.iter().find_map(|(name, value)| {
         let key = format!("{prefix}{name}");
@@ -305,15 +305,15 @@ fn line_of(text: &str, byte: usize) -> usize {
         + 1
 }
 
-/// The first byte of the key `path`, such as `model.channel_mult[2]`, in the text that `table` was
-/// parsed from, or of the nearest key above it.
+/// The first byte of the key `path`, such as `model.channel_mult[2]`, or of the nearest key above
+/// it, in the parsed text of `table`.
 fn start_of(table: &DeTable<'_>, path: &str) -> Option<usize> {
     let beginnings = table.iter().filter_map(|(name, value)| {
         let rest = path.strip_prefix(name.get_ref().as_ref())?;
         let ends = rest.is_empty() || rest.starts_with(['.', '[']);
         ends.then_some((name, value, rest))
     });
-    // A key in quotes may contain a dot: the longest match counts.
+    // A quoted key may contain a dot, so the longest match counts.
     let (name, value, rest) = beginnings.min_by_key(|(_, _, rest)| rest.len())?;
     Some(start_in(value.get_ref(), rest).unwrap_or(name.span().start))
 }
@@ -341,7 +341,7 @@ mod tests {
         text.parse().unwrap()
     }
 
-    /// The key of an error, which must name this place too.
+    /// The key of an error, which must be the place of the error too.
     fn key_of(error: DocumentError) -> String {
         match error {
             DocumentError::Value { place, key, .. } => {

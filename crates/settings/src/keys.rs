@@ -1,4 +1,4 @@
-//! The keys of a document, described by the types that read it.
+//! The keys of a document, from the types that read the document.
 
 use std::fmt;
 
@@ -9,19 +9,19 @@ use serde_json::{Map, Value};
 /// A key of a document.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Key {
-    /// The dotted key. Repeated tables have `[]` after their name:
-    /// `take[].motion`.
+    /// The dotted key. Repeated tables have `[]` after their name: `take[].motion`.
     pub name: String,
-    /// Its meaning: the doc comment of its field.
+    /// The key's meaning, from the doc comment of its field.
     pub meaning: String,
     /// The allowed values.
     pub values: Values,
-    /// The value of a missing key; a table above it may have another. JSON `null` is not set.
+    /// The default value of the key; a table above the key may set another default. JSON `null` is
+    /// not set.
     pub default: Option<Value>,
-    /// True if its table requires it.
+    /// True if the key's table requires the key.
     pub required: bool,
-    /// The value of another key of its table that this key needs: `kind = "disc"`, or one of
-    /// several, `kind = "disc", "square"`.
+    /// The condition on another key of the table: `kind = "disc"`, or one of several values, `kind
+    /// = "disc", "square"`.
     pub only_with: Option<String>,
 }
 
@@ -44,7 +44,7 @@ pub enum Values {
     Text,
     /// One of some names.
     Names(Vec<Name>),
-    /// A list, of this length if it is fixed.
+    /// A list, of this length if the length is fixed.
     List(Box<Values>, Option<u64>),
     /// A table with any keys.
     Map(Box<Values>),
@@ -62,7 +62,7 @@ pub struct Name {
 }
 
 impl Values {
-    /// The allowed names; none if other values are allowed too.
+    /// The allowed names; empty if other values are allowed too.
     pub fn names(&self) -> &[Name] {
         match self {
             Self::Names(names) => names,
@@ -71,7 +71,7 @@ impl Values {
         }
     }
 
-    /// True if it has keys.
+    /// True for a table of keys.
     pub fn is_table(&self) -> bool {
         matches!(self, Self::Table | Self::Tables)
     }
@@ -107,7 +107,7 @@ impl fmt::Display for Values {
     }
 }
 
-/// Every key of the documents that a `T` reads, tables before their keys.
+/// Every key of the documents that a `T` reads. Tables come before their keys.
 pub fn keys_of<T: JsonSchema>() -> Vec<Key> {
     let settings = SchemaSettings::draft2020_12().with(|settings| {
         settings.inline_subschemas = true;
@@ -120,7 +120,7 @@ pub fn keys_of<T: JsonSchema>() -> Vec<Key> {
     keys
 }
 
-/// Adds the keys of a table whose own begin with `prefix`.
+/// Adds the keys of a table; `prefix` is the beginning of their names.
 fn collect(table: &Map<String, Value>, prefix: &str, only_with: Option<&str>, keys: &mut Vec<Key>) {
     for (name, property) in entries(table, "properties") {
         let Some(property) = property.as_object() else {
@@ -156,7 +156,7 @@ fn collect(table: &Map<String, Value>, prefix: &str, only_with: Option<&str>, ke
     }
 }
 
-/// True if `added`, a key of the kind `with`, is that of another kind too.
+/// True if `added`, a key of the kind `with`, also belongs to another kind.
 fn is_shared(known: &Key, added: &Key, with: &str) -> bool {
     let tag = with.split(" = ").next();
     let same_tag = |only_with: &String| only_with.split(" = ").next() == tag;
@@ -164,7 +164,7 @@ fn is_shared(known: &Key, added: &Key, with: &str) -> bool {
         && known.only_with.as_ref().is_some_and(same_tag)
 }
 
-/// Adds one key, and those below it.
+/// Adds one key and all keys below it.
 fn add(schema: &Map<String, Value>, name: String, only_with: Option<&str>, keys: &mut Vec<Key>) {
     let values = values_of(schema);
     let below = match &values {
@@ -175,7 +175,7 @@ fn add(schema: &Map<String, Value>, name: String, only_with: Option<&str>, keys:
         }
         _ => None,
     };
-    // A table that may be missing is one of two alternatives.
+    // An optional table is one of two alternatives.
     let may_miss = alternatives(schema).any(|each| text(each, "type") == "null");
     let table = || alternatives(schema).find(|each| values_of(each) == Values::Table);
     let of_option = may_miss.then(table).flatten();
@@ -192,7 +192,7 @@ fn add(schema: &Map<String, Value>, name: String, only_with: Option<&str>, keys:
     }
 }
 
-/// Adds `value` to the names that the tag of a table may have.
+/// Adds `value` to the allowed names of a table's tag.
 fn merge_tag(prefix: &str, key: &str, value: &str, meaning: &str, keys: &mut Vec<Key>) {
     let name = format!("{prefix}{key}");
     let added = Name {
@@ -271,7 +271,7 @@ fn values_of(schema: &Map<String, Value>) -> Values {
     }
 }
 
-/// The names that a schema itself, or one of its alternatives, allows.
+/// The names that a schema or one of its alternatives allows.
 fn names_of(schema: &Map<String, Value>) -> impl Iterator<Item = Name> {
     let name = |name: &Value, meaning: &str| {
         Some(Name {
@@ -290,7 +290,7 @@ fn names_of(schema: &Map<String, Value>) -> impl Iterator<Item = Name> {
     listed.chain(single).chain(inner)
 }
 
-/// The schemas of which one, or all, must hold.
+/// The alternatives of a schema: one of them, or all, must hold.
 fn alternatives(schema: &Map<String, Value>) -> impl Iterator<Item = &Map<String, Value>> {
     let lists = ["oneOf", "anyOf", "allOf"].into_iter();
     let lists = lists.filter_map(|key| schema.get(key).and_then(Value::as_array));
@@ -309,7 +309,7 @@ fn text<'a>(schema: &'a Map<String, Value>, key: &str) -> &'a str {
     schema.get(key).and_then(Value::as_str).unwrap_or_default()
 }
 
-/// A doc comment as a line of text: without line ends, and without the targets of links.
+/// A doc comment as one line of text, without link targets.
 fn plain(comment: &str) -> String {
     let joined = comment.split_whitespace().collect::<Vec<_>>().join(" ");
     let mut out = String::new();

@@ -1,4 +1,4 @@
-//! Reading and validation of settings, and the errors.
+//! Reading and validation of settings, with error messages.
 //!
 //! ```
 //! use kinegrad_settings::{Refused, in_range};
@@ -50,7 +50,7 @@ impl InvalidSetting {
         }
     }
 
-    /// The same with another hint.
+    /// The same error with another hint.
     #[must_use]
     pub fn hint(self, hint: impl Into<String>) -> Self {
         Self {
@@ -59,7 +59,7 @@ impl InvalidSetting {
         }
     }
 
-    /// The same for a key of `table`.
+    /// The same error for a key of `table`.
     #[must_use]
     pub fn within(self, table: &str) -> Self {
         Self {
@@ -90,7 +90,7 @@ impl<T> Refused for Result<T, InvalidSetting> {
     }
 }
 
-/// Rejects a setting unless `holds`. Fails with [`InvalidSetting`] of `key`.
+/// Rejects a setting unless `holds` is true. Fails with [`InvalidSetting`] of `key`.
 pub fn require(
     holds: bool,
     key: impl Display,
@@ -106,8 +106,7 @@ pub fn require(
 /// Every number above 0.
 pub const ABOVE_ZERO: (Bound<f64>, Bound<f64>) = (Bound::Excluded(0.0), Bound::Unbounded);
 
-/// Rejects a number beyond `range`, and one that is not finite. Fails with [`InvalidSetting`] of
-/// `key`.
+/// Rejects a number that is outside `range` or not finite. Fails with [`InvalidSetting`] of `key`.
 pub fn in_range<N: Number>(
     key: impl Display,
     number: N,

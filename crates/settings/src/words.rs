@@ -1,7 +1,7 @@
-//! Plain words for the messages of a deserialiser.
+//! Plain wording for a deserializer's messages.
 
-/// `message` of serde, such as "invalid type: string "many", expected u64", in the words of a
-/// document's author; other messages unchanged.
+/// Rewords a `message` of serde, such as "invalid type: string "many", expected u64", for the
+/// author of a document. Other messages are unchanged.
 pub(crate) fn in_words(message: &str) -> String {
     let message = message.trim().lines().next().unwrap_or_default();
     if message.ends_with("value was too large") {
@@ -32,8 +32,8 @@ pub(crate) fn in_words(message: &str) -> String {
     }
 }
 
-/// The number in `found`, such as `string "99999999999999999999"`, if it is too large for a whole
-/// number of a document and therefore text.
+/// The number in `found`, such as `string "99999999999999999999"`, if the number is text because it
+/// is too large for an integer of a document.
 fn long_number(found: &str) -> Option<&str> {
     let text = found.strip_prefix("string \"")?.strip_suffix('"')?;
     let digits = text.strip_prefix(['+', '-']).unwrap_or(text);

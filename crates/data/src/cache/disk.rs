@@ -1,9 +1,9 @@
-//! Cache of remote files on disk, by content.
+//! Content-addressed disk cache of remote files.
 //!
-//! `objects/AB/SHA256` contains the bytes with that SHA-256, so damage is detected when read and
-//! equal files are shared. `names/KEY` contains the checksum of one version of one object of a
-//! store without a manifest. Files appear by a rename and never change, so processes may share the
-//! folder; one at a time evicts files.
+//! `objects/AB/SHA256` contains the bytes with that SHA-256: reads detect damage, and equal files
+//! are stored once. `names/KEY` contains the checksum of one version of one object, for stores
+//! without a manifest. Files appear by a rename and never change, so processes may share the
+//! folder. One process at a time evicts files.
 
 use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use crate::digest::Digest;
 use crate::file::{lock_file, read_file, read_text};
 use crate::{Error, atomic};
 
-/// Share of the limit that is in use after eviction.
+/// Share of the limit that remains in use after eviction.
 const KEPT_SHARE: f64 = 0.9;
 
 /// A folder of files with a size limit.
@@ -43,7 +43,7 @@ impl DiskCache {
         Ok(cache)
     }
 
-    /// The bytes with this checksum, if present and intact. A damaged file is removed.
+    /// The bytes with this checksum, if cached and intact. A damaged file is removed.
     pub fn get(&self, digest: &Digest) -> Option<Vec<u8>> {
         let path = self.object(digest);
         let bytes = read_file(&path, self.limit).ok()?;
@@ -51,14 +51,14 @@ impl DiskCache {
             let _ = fs::remove_file(&path);
             return None;
         }
-        // The modification time orders the eviction; a read-only cache works without.
+        // Eviction uses the modification time; a read-only cache works without it.
         if let Ok(file) = File::options().append(true).open(&path) {
             let _ = file.set_modified(SystemTime::now());
         }
         Some(bytes)
     }
 
-    /// Stores `bytes`, unless the disk is full.
+    /// Stores `bytes`; a full disk is no error.
     pub fn put(&self, digest: &Digest, bytes: &[u8]) {
         if bytes.len() as u64 > self.limit {
             return;
@@ -84,7 +84,7 @@ impl DiskCache {
     pub fn put_name(&self, key: &Digest, digest: &Digest) {
         let path = self.folder.join("names").join(key.to_string());
         let text = digest.to_string();
-        // Without it the object is read again.
+        // Without the name, the object is read again.
         let _ = atomic::write(&path, text.as_bytes());
     }
 
@@ -93,7 +93,8 @@ impl DiskCache {
         self.folder.join("objects").join(&name[..2]).join(name)
     }
 
-    /// Removes the least recently used files until the limit holds, unless another process does so.
+    /// Removes the least recently used files until the cache is below the limit, unless another
+    /// process is evicting.
     fn make_room(&self) {
         let Ok(lock) = lock_file(&self.folder.join("lock")) else {
             return;
@@ -123,7 +124,7 @@ impl DiskCache {
     }
 }
 
-/// All files in `folder` with time of last use and size.
+/// All files in `folder` with their last use and size.
 fn collect(folder: &Path, files: &mut Vec<(SystemTime, PathBuf, u64)>) {
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let Ok(metadata) = entry.metadata() else {

@@ -33,7 +33,7 @@ impl<T: Item> MemoryCache<T> {
     }
 
     fn lock(&self) -> MutexGuard<'_, Entries<T>> {
-        // Nothing that panics runs under the lock.
+        // No code under the lock panics.
         self.entries.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -42,7 +42,7 @@ impl<T: Item> MemoryCache<T> {
         self.lock().items.get(&number).cloned()
     }
 
-    /// True if item `number` is cached, without using it.
+    /// True if item `number` is cached. This check does not count as a use.
     pub fn contains(&self, number: usize) -> bool {
         self.lock().items.contains(&number)
     }

@@ -45,7 +45,7 @@ fn validate_walks(data: &DataConfig) -> Result<(), InvalidSetting> {
     )
 }
 
-/// The lists of a HumanML3D dataset alone decide the split.
+/// The split of a HumanML3D dataset comes from its lists only.
 fn validate_split(data: &DataConfig) -> Result<(), InvalidSetting> {
     let split = &data.validation;
     for (key, set) in [

@@ -1,4 +1,4 @@
-//! Captions as labels: the distinct captions of a dataset, each with a learned embedding.
+//! Captions as labels: each distinct caption of a dataset has a learned embedding.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
@@ -10,7 +10,8 @@ use crate::{Error, ItemSet};
 
 use super::Clip;
 
-/// Most captions with a learned embedding. HumanML3D has 45,000, most of which occur once.
+/// Maximum number of captions with learned embeddings. HumanML3D has 45,000 captions, mostly
+/// unique.
 pub const MAX_CAPTIONS: usize = 4096;
 
 /// The captions of a model, each with its row in the embedding table.
@@ -40,7 +41,8 @@ impl CaptionLabels {
         self.rows.get(caption).copied()
     }
 
-    /// [`row`](Self::row), else the only row that differs in capitals, spaces and last signs.
+    /// [`row`](Self::row), or the only row that differs just in capitals, spaces and final
+    /// punctuation.
     pub fn row_of_typed(&self, text: &str) -> Option<usize> {
         let exact = self.row(text.trim());
         exact.or_else(|| {
@@ -54,7 +56,7 @@ impl CaptionLabels {
         })
     }
 
-    /// The one-hot condition of a row, `[captions]`, or zeros for no caption.
+    /// The one-hot condition of a row, `[captions]`; zeros without a row.
     pub fn values(&self, row: Option<usize>) -> Vec<f32> {
         let mut values = vec![0.0; self.captions.len()];
         if let Some(row) = row {
@@ -73,7 +75,7 @@ fn plain(text: &str) -> String {
 
 impl ItemSet<Clip> {
     /// The distinct captions of the clips in alphabetical order, each with the id of its first
-    /// clip. Ranks each read a part of the clips. Collective. Fails as
+    /// clip. Each rank reads a part of the clips. Collective. Fails as
     /// [`measure_among`](Self::measure_among).
     pub fn captions_among(
         &self,
@@ -122,7 +124,7 @@ mod tests {
         for (text, row) in [
             ("a man sits", Some(1)),
             ("A man sits.", Some(0)),
-            // Two are the same but for capitals and the full stop.
+            // Two captions differ only in capitals and the full stop.
             ("A man sits", None),
             ("Someone walks.", Some(2)),
             ("  someone runs", Some(3)),

@@ -18,10 +18,10 @@ use super::embeddings::Embeddings;
 use super::texts::{self, texts_path};
 use super::{Caption, parse_captions};
 
-/// Folder of all features, in files `ID.npy`.
+/// Folder of all features; its files are `ID.npy`.
 pub const FEATURES: &str = "new_joint_vecs";
 
-/// Clips in the order of their ids. A clone is another handle to the same ones.
+/// Clips in the order of their ids. A clone shares the clips.
 pub type ClipSet = ItemSet<Clip>;
 
 /// A clip: features `[frames, channels]` and captions.
@@ -31,12 +31,12 @@ pub struct Clip {
     pub id: String,
     /// Features with relative root, as stored.
     pub features: Features,
-    /// Captions in order, without those of ranges shorter than `data.humanml3d.min_frames`.
+    /// Captions in order. Captions of ranges shorter than `data.humanml3d.min_frames` are left out.
     pub captions: Vec<Caption>,
 }
 
 impl Clip {
-    /// The first caption of the whole clip, else the first one; none without captions.
+    /// The first caption of the whole clip or, without one, the first caption of a range.
     pub fn caption(&self) -> Option<&Caption> {
         let whole = self
             .captions
@@ -108,8 +108,8 @@ pub fn features_path(id: &str) -> String {
 }
 
 /// Parses a `.npy` file of features with relative root, `[frames, channels]` of `skeleton`, in
-/// metres or (KIT-ML) millimetres; `file` names it in errors. Fails with [`FileError`] for another
-/// array, another number of channels, and values that are not finite.
+/// meters or (KIT-ML) millimeters; `file` names the file in errors. Fails with [`FileError`] for
+/// another array or number of channels, and for values that are not finite.
 pub fn parse_features(
     bytes: &[u8],
     file: &str,
@@ -139,7 +139,7 @@ pub fn parse_features(
     })
 }
 
-/// The width of a non-empty array of `axes` axes, if it is that of the skeleton's features.
+/// The width of a non-empty array of `axes` axes, if the skeleton's features have this width.
 pub(super) fn check_width(
     shape: &[usize],
     axes: usize,
@@ -204,7 +204,7 @@ pub(super) struct ClipFiles {
 }
 
 impl ClipFiles {
-    /// Captions with their embeddings, and the checksum of their file, if there is one.
+    /// Captions with their embeddings, and the checksum of an existing caption file.
     fn captions(
         &self,
         id: &str,
@@ -306,5 +306,5 @@ impl ItemSource<Clip> for ClipFiles {
     }
 }
 
-/// The embedding of a clip or caption without one.
+/// The embedding of a clip or caption that has no embedding.
 pub(super) const NO_EMBEDDING: [f32; TEXT_CHANNELS] = [0.0; TEXT_CHANNELS];

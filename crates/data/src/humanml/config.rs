@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 /// Reading of the clips of `kind = "humanml3d"` and `kind = "synthetic_walks"`.
 ///
-/// Defaults are those of HumanML3D; for KIT-ML set `skeleton` and `min_frames = 24`.
+/// The defaults are the values for HumanML3D; for KIT-ML, set `skeleton` and `min_frames = 24`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Humanml3dConfig {
@@ -19,22 +19,23 @@ pub struct Humanml3dConfig {
     pub skeleton: SkeletonName,
     /// File in the dataset with the ids of the training clips, one per line.
     pub train_list: String,
-    /// The same for held-out clips; empty for none.
+    /// File with the ids of the held-out clips; empty for none.
     pub validation_list: String,
-    /// The same for the final evaluation (`evaluation.split = "test"`).
+    /// File with the ids for the final evaluation (`evaluation.split = "test"`).
     pub test_list: String,
-    /// Shorter clips, and captions of shorter ranges, are left out.
+    /// Minimum frames of a clip or caption range; shorter ones are left out.
     pub min_frames: usize,
     /// Clips of this length or longer are left out.
     pub max_frames: usize,
-    /// Sample lengths are multiples of this.
+    /// Sample lengths are multiples of this number.
     pub unit_frames: usize,
     /// Text condition of a model.
     pub text: CaptionText,
-    /// File in the dataset with the embeddings of the captions; may be empty or missing for models
-    /// without text. Not read with `text = "labels"`.
+    /// File in the dataset with the caption embeddings; optional for models without text, ignored
+    /// with `text = "labels"`.
     pub text_embeddings: String,
-    /// Clips without captions; by default required if there are embeddings or captions are labels.
+    /// Handling of clips without captions. By default, embeddings or caption labels require
+    /// captions.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub captions: Option<CaptionRule>,
 }
@@ -95,10 +96,10 @@ impl fmt::Display for SkeletonName {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CaptionText {
-    /// The embedding by a text encoder, from the file `text_embeddings`: any sentence may be used.
+    /// The text encoder's embedding, from the file `text_embeddings`: any sentence may be used.
     Embeddings,
-    /// The index among the distinct captions, with a learned embedding each: for datasets with few
-    /// captions; no other sentence may be used.
+    /// The index among the distinct captions, each with a learned embedding. Suits datasets with
+    /// few captions; other sentences are not allowed.
     Labels,
 }
 

@@ -1,4 +1,4 @@
-//! Embeddings of captions: one safetensors file, `[captions, 512]` for each clip.
+//! Embeddings of captions: one safetensors file with `[captions, 512]` for each clip.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -21,7 +21,7 @@ const HINT: &str = "`kinegrad text embed` makes the file (docs/dataset.md); data
 pub(super) struct Embeddings {
     /// Embeddings of each clip, in the order of its captions.
     clips: HashMap<String, Vec<Arc<[f32]>>>,
-    /// Checksums of the embedded captions, for clips with one in the file.
+    /// Checksums of the embedded captions, for clips with a checksum in the file.
     captions: HashMap<String, String>,
     file: String,
     pub digest: Digest,
@@ -29,8 +29,8 @@ pub(super) struct Embeddings {
 
 impl Embeddings {
     /// Parses the file called `file`, whose checksum is `digest`. Fails with
-    /// [`FileError::Unusable`] for another kind of file, and a tensor of another shape or type, or
-    /// with values that are not finite.
+    /// [`FileError::Unusable`] for another kind of file, another tensor shape or type, and values
+    /// that are not finite.
     pub fn parse(bytes: &[u8], file: &str, digest: Digest) -> Result<Self, FileError> {
         let tensors = SafeTensors::deserialize(bytes).map_err(|error| {
             let found = format!("no safetensors file ({error})");
@@ -50,8 +50,8 @@ impl Embeddings {
         })
     }
 
-    /// The embeddings of the captions of clip `id`. Fails with [`FileError::Unusable`] if they are
-    /// missing, of another number, or of other captions.
+    /// The embeddings of the captions of clip `id`. Fails with [`FileError::Unusable`] if
+    /// embeddings are missing or do not match the captions.
     pub fn of(&self, id: &str, captions: &[&str]) -> Result<&[Arc<[f32]>], FileError> {
         let found = match self.clips.get(id) {
             Some(rows) if rows.len() == captions.len() => {
@@ -76,8 +76,8 @@ impl Embeddings {
     }
 }
 
-/// One embedding by name: `FILE#KEY` for the first row of a tensor, `FILE#KEY:N` for row N. Fails
-/// with [`FileError`] for another form of name, an unreadable file, and a tensor that is not an
+/// Reads one embedding by name: `FILE#KEY` for the first row of a tensor, `FILE#KEY:N` for row N.
+/// Fails with [`FileError`] for an invalid name, an unreadable file, and a tensor that is not an
 /// embedding.
 pub fn read_embedding(name: &str) -> Result<Vec<f32>, FileError> {
     let expected = "FILE#KEY or FILE#KEY:N, with the key of a tensor and a row";
@@ -95,7 +95,7 @@ pub fn read_embedding(name: &str) -> Result<Vec<f32>, FileError> {
         .tensor(key)
         .map_err(|_| refused(&format!("no tensor `{key}`")))?;
     let tensor = match *tensor.shape() {
-        // One embedding by itself.
+        // The tensor is a single embedding.
         [TEXT_CHANNELS] => {
             let shape = vec![1, TEXT_CHANNELS];
             TensorView::new(tensor.dtype(), shape, tensor.data())
@@ -150,9 +150,9 @@ fn checksum(captions: &[&str]) -> String {
     Digest::of(captions.join("\n").as_bytes()).to_string()
 }
 
-/// Writes a file of embeddings atomically: `[texts, 512]` float32 under each name. `of` has the
-/// captions of clips; the file is rejected if they change. Fails with [`Error::Io`]. Panics if a
-/// name occurs twice, or a row has another width.
+/// Writes a file of embeddings atomically: `[texts, 512]` float32 under each name. `of` contains
+/// the captions of the clips; readers reject the file if the captions change. Fails with
+/// [`Error::Io`]. Panics for a repeated name or a row of another width.
 pub fn write_embeddings(
     path: &Path,
     texts: Vec<(&str, Vec<&[f32]>)>,
@@ -202,7 +202,7 @@ mod tests {
             |bytes: &[u8]| Embeddings::parse(bytes, "e.safetensors", Digest::of(bytes)).unwrap();
         let read = parsed(&serialize(two(), HashMap::new()));
         assert_eq!(read.of("a", &["x", "y"]).unwrap()[1][..], rows[1]);
-        // A file with checksums of its captions.
+        // A file with checksums of the captions.
         let of = HashMap::from([("a".to_owned(), checksum(&["x", "y"]))]);
         let tied = parsed(&serialize(two(), of));
         assert!(tied.of("a", &["x", "y"]).is_ok());

@@ -9,12 +9,11 @@ use crate::npy::parse;
 use crate::store::{Store, StoreError};
 use crate::{DataConfig, Error};
 
-/// Clips of a list that are read to detect the skeleton.
+/// Maximum number of listed clips that are read to detect the skeleton.
 const LOOKED_AT: usize = 8;
 
-/// True if the dataset of `config` is in the HumanML3D layout, and its skeleton: `None` if it is
-/// not, `Some(None)` if the skeleton is unknown. Fails as [`Store::open`], and for an unreadable
-/// store.
+/// The skeleton of a dataset in the HumanML3D layout; `Some(None)` if the skeleton is unknown,
+/// `None` for another layout. Fails as [`Store::open`], and for an unreadable store.
 pub fn find_clips(config: &DataConfig) -> Result<Option<Option<SkeletonName>>, Error> {
     let store = Store::open(config.source.as_deref().unwrap_or_default(), &config.store)?;
     if let Ok(Some(motion)) = store.place(MOTION_FILE.0)
@@ -24,12 +23,12 @@ pub fn find_clips(config: &DataConfig) -> Result<Option<Option<SkeletonName>>, E
     }
     let list = &config.humanml3d.train_list;
     let found = match store.find(list, MAX_BYTES) {
-        // The answer of a bucket about missing objects to users who may not list it.
+        // A bucket denies access to missing objects if the user may not list it.
         Err(StoreError::Denied { .. }) => None,
         found => found?,
     };
     let Some(bytes) = found else {
-        // Opening a copy without its list reports what is missing.
+        // Opening a copy without its list reports the missing list.
         let features = store.place(FEATURES)?;
         return Ok(features.filter(|folder| folder.is_dir()).map(|_| None));
     };

@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 
 use crate::{DataConfig, DataKind, Error, FileError, Store};
 
-/// The file of labels, which only prepared datasets have.
+/// The file of labels; only prepared datasets have labels.
 pub const LABELS: &str = "labels.json";
 
 /// Largest file of labels.
 const MAX_BYTES: u64 = 1 << 28;
 
-/// The labels of each clip by id, as values by name: `content` is `walk`, `style` is `happy`.
+/// The labels of each clip by clip id and label name: `content` is `walk`, `style` is `happy`.
 pub type ClipLabels = BTreeMap<String, BTreeMap<String, String>>;
 
 /// The bytes of the file of `labels`.
@@ -18,8 +18,8 @@ pub fn labels_bytes(labels: &ClipLabels) -> Vec<u8> {
     serde_json::to_vec_pretty(labels).expect("plain data")
 }
 
-/// Reads the labels of the dataset in `store`; `None` if it has none. Fails with [`Error::Store`];
-/// [`Error::File`] for a file of another form.
+/// Reads the labels of the dataset in `store`; `None` without labels. Fails with [`Error::Store`];
+/// [`Error::File`] for an invalid file.
 pub fn read_labels(store: &Store) -> Result<Option<ClipLabels>, Error> {
     let Some(bytes) = store.find(LABELS, MAX_BYTES)? else {
         return Ok(None);
@@ -35,8 +35,8 @@ pub fn read_labels(store: &Store) -> Result<Option<ClipLabels>, Error> {
     Ok(Some(labels))
 }
 
-/// The labels of the dataset of `config`; `None` if it has none. Fails as [`read_labels`], and if
-/// the dataset's place cannot be opened.
+/// Reads the labels of the dataset of `config`; `None` without labels. Fails as [`read_labels`],
+/// and if the dataset's location cannot be opened.
 pub fn labels_of(config: &DataConfig) -> Result<Option<ClipLabels>, Error> {
     match (config.kind, &config.source) {
         (DataKind::Humanml3d, Some(source)) => read_labels(&Store::open(source, &config.store)?),

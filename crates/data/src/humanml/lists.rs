@@ -1,4 +1,4 @@
-//! The lists of a dataset's clips: `train.txt` and `val.txt`, one id a line.
+//! The clip lists of a dataset, `train.txt` and `val.txt`, with one id per line.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -15,15 +15,15 @@ use super::texts::{TEXTS, texts_path};
 /// Largest list.
 pub(super) const MAX_BYTES: u64 = 1 << 28;
 
-/// The clips of both lists, sorted by id. Fails with [`Error::File`] for a list that is missing,
-/// empty or has invalid ids, and for a clip on both lists; [`Error::Store`].
+/// The clips of both lists, sorted by id. Fails with [`Error::File`] for a missing or empty list,
+/// an invalid id, and a clip on both lists; [`Error::Store`].
 pub(super) fn read_lists(
     files: &Files,
     config: &Humanml3dConfig,
     warnings: &mut Vec<String>,
 ) -> Result<Vec<Listed>, Error> {
     let mut sides: BTreeMap<String, Side> = BTreeMap::new();
-    // An evaluation may hold out another list.
+    // An evaluation may hold out the test list.
     let held_out = match config.validation_list == config.test_list {
         true => "test_list",
         false => "validation_list",
@@ -93,7 +93,7 @@ pub(super) fn read_lists(
     Ok(listed.collect())
 }
 
-/// The ids of a list with their lines. Empty lines and comments (`#`) are skipped.
+/// The ids of a list and their line numbers. Empty lines and comments (`#`) are skipped.
 pub(super) fn parse_list(bytes: &[u8], file: &str) -> Result<Vec<(usize, String)>, FileError> {
     let hint = "a list names clips as their files are called, without the ending";
     let text = str::from_utf8(bytes)

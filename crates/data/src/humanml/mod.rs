@@ -1,7 +1,7 @@
 //! Clips in the HumanML3D format: joint features with captions, and synthetic walks.
 //!
-//! A dataset is a folder, a bucket or a web server's path with `new_joint_vecs/ID.npy`
-//! (`[frames, 263]`, relative root), `texts/ID.txt` (captions) and a list of clips for each side.
+//! A dataset is a folder, a bucket or a path on a web server with `new_joint_vecs/ID.npy`
+//! (`[frames, 263]`, relative root), `texts/ID.txt` (captions) and a list of clips for each split.
 //! See `docs/dataset.md`.
 //!
 //! ```

@@ -1,4 +1,4 @@
-//! From clips to samples: caption, range, crop, root, normalisation.
+//! Conversion of clips to samples: caption, range, crop, root, normalization.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -16,7 +16,8 @@ use crate::{Batch, Crop, DataConfig, Error};
 use super::clip::NO_EMBEDDING;
 use super::{Caption, CaptionLabels, Clip, ClipSet};
 
-/// Samples of clips, conditioned on a caption. Lengths are multiples of `unit_frames` if possible.
+/// Samples of clips with a condition on a caption. Lengths are multiples of `unit_frames` if
+/// possible.
 #[derive(Clone, Debug)]
 pub struct ClipSamples {
     clips: ClipSet,
@@ -33,9 +34,8 @@ pub struct ClipSamples {
 }
 
 impl ClipSamples {
-    /// Samples of the first `channels` of the features of `clips`, normalised by `statistics`,
-    /// cropped by `config` and `seed`. Panics if `statistics` or `channels` are not of the
-    /// `representation`.
+    /// Samples of the first `channels` features of `clips`, normalized by `statistics` and cropped
+    /// by `config` and `seed`. Panics if `statistics` or `channels` do not match `representation`.
     pub fn new(
         clips: ClipSet,
         representation: JointFeatures,
@@ -66,7 +66,7 @@ impl ClipSamples {
         }
     }
 
-    /// Uses the [`WORDS`] of captions in place of embeddings, and adds [`CAPTIONS`].
+    /// Replaces embeddings by the [`WORDS`] of captions, and adds [`CAPTIONS`].
     #[must_use]
     pub fn with_words(self, words: Arc<WordVectors>) -> Self {
         Self {
@@ -75,7 +75,7 @@ impl ClipSamples {
         }
     }
 
-    /// Conditions on the index of the caption among `labels`; other captions are no condition.
+    /// Conditions on the index of the caption in `labels`; other captions give zeros.
     #[must_use]
     pub fn with_labels(self, labels: CaptionLabels) -> Self {
         Self {
@@ -91,7 +91,7 @@ impl ClipSamples {
         bends.then(|| Bend::random(key.named("bend")))
     }
 
-    /// Channels of the condition on a caption.
+    /// Channels of the caption condition.
     fn text_channels(&self) -> usize {
         let labels = self.labels.as_ref();
         labels.map_or(TEXT_CHANNELS, |labels| labels.captions().len())
@@ -121,7 +121,8 @@ impl Samples for ClipSamples {
         self.clips.get(position)
     }
 
-    /// Validation takes the first caption and the leading crop. Samples begin at the origin, to +z.
+    /// Validation uses the first caption and the leading crop. Samples begin at the origin and face
+    /// +z.
     fn push(&self, batch: &mut Batch, clip: &Arc<Clip>, number: Option<u64>) {
         let below = |bound, purpose| {
             number.map_or(0, |n| {
@@ -136,7 +137,7 @@ impl Samples for ClipSamples {
         let caption_range = caption.map_or(0..frames, |caption| {
             caption.frames(frames, self.representation.fps())
         });
-        // The reader drops shorter ranges; clips in memory may be of any length.
+        // The reader drops short ranges, but clips in memory may have ranges of any length.
         let caption_range = match caption_range.is_empty() {
             true => 0..frames,
             false => caption_range,
@@ -155,7 +156,7 @@ impl Samples for ClipSamples {
         let features = clip.features.crop(skeleton, first..first + length);
         let features = features.expect("the reader takes features of this skeleton alone");
         let bend = number.and_then(|n| self.bend(n));
-        // A single frame cannot be bent.
+        // A single frame has no trajectory to bend.
         let bent = bend.and_then(|bend| bend.of_features(&features, skeleton).ok());
         let features = bent.unwrap_or(features);
         let features = features.with_root(self.representation.root);
@@ -187,7 +188,7 @@ impl Samples for ClipSamples {
     }
 }
 
-/// A number that clips with the same captions share, of 24 bits, which a float represents exactly.
+/// A 24-bit number, exact as a float, that is equal for clips with the same captions.
 fn captions_number(clip: &Clip) -> f32 {
     let texts = clip.captions.iter().map(|caption| caption.text.as_str());
     let texts = texts.collect::<Vec<_>>().join("\n");
@@ -287,7 +288,7 @@ mod tests {
             let mut starts = BTreeSet::new();
             for batch in batches(&config, 263, 0, 6) {
                 for sample in 0..3 {
-                    // A range may be shorter than the crop.
+                    // A caption range may be shorter than the crop.
                     let mask = &batch.mask[50 * sample..][..50];
                     let valid = mask.iter().filter(|&&value| value == 1.0).count();
                     assert!(valid >= 40 && valid % 4 == 0, "{valid}");
@@ -399,7 +400,7 @@ mod tests {
         let clip = (0..40).map(|index| walk(index, 90, 3));
         let mut clip = clip.filter(|clip| clip.captions.len() == 4);
         let mut clip = clip.next().expect("a walk that turns");
-        // Each range allows one start, which identifies the caption.
+        // Each caption range allows one start, which identifies the caption.
         for (caption, seconds) in clip.captions.iter_mut().zip([
             None,
             Some((0.0, 2.0)),

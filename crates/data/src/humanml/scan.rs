@@ -28,7 +28,7 @@ impl Listable for Clip {
     }
 }
 
-/// Walks, split by the rule of the config.
+/// Synthetic walks, split by the rule of the config.
 fn synthetic_walks(config: &DataConfig) -> Result<Scan<Clip>, Error> {
     let conditional = config.humanml3d.reads_embeddings();
     let split = Split::new(&config.validation)?;

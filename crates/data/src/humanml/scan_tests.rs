@@ -1,4 +1,4 @@
-//! Datasets that are read, and errors of those that cannot be.
+//! Valid datasets, and the errors of invalid datasets.
 
 use std::fs;
 use std::path::Path;
@@ -129,7 +129,7 @@ fn statistics_come_from_the_dataset_where_they_are_of_the_root() {
     for name in ["Mean.npy", "Std.npy"] {
         write_array(&folder.path().join(name), &[263]);
     }
-    // Those files are for the relative root only.
+    // `Mean.npy` and `Std.npy` are for the relative root only.
     let again = Dataset::<Clip>::open(&config).unwrap();
     assert_eq!(again.statistics().unwrap(), absolute.statistics().unwrap());
     assert_eq!(again.digest, absolute.digest);
@@ -187,7 +187,7 @@ fn captions_are_needed_where_there_are_embeddings() {
     fs::write(texts_file(folder.path(), 3), "one#two\n").unwrap();
     assert!(message(&config).contains("walk_00003.txt, line 1: found `one#two`"));
 
-    // One caption more than there are embeddings.
+    // The clip has one more caption than embeddings.
     let text = fs::read_to_string(texts_file(folder.path(), 2)).unwrap();
     fs::write(texts_file(folder.path(), 2), format!("{text}x#y#0.0#0.0\n")).unwrap();
     fs::remove_file(texts_file(folder.path(), 3)).unwrap();

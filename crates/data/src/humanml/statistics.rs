@@ -1,4 +1,4 @@
-//! Mean and deviation of each channel that come with a dataset.
+//! The stored mean and deviation of each channel of a dataset.
 
 use kinegrad_motion::humanml::{Root, Skeleton};
 use kinegrad_motion::{JointFeatures, Statistics};
@@ -11,7 +11,7 @@ use super::clip::check_width;
 
 const HINT: &str = "without both files the statistics are taken from the training clips";
 
-/// The files of mean and deviation for features with this `root`.
+/// Names of the mean and deviation files for features with this `root`.
 fn names(root: Root) -> [&'static str; 2] {
     match root {
         Root::Relative => ["Mean.npy", "Std.npy"],
@@ -19,7 +19,7 @@ fn names(root: Root) -> [&'static str; 2] {
     }
 }
 
-/// Paths and bytes of the files of mean and deviation of `statistics` of clips with this `root`.
+/// Paths and bytes of the mean and deviation files of `statistics`, for clips with this `root`.
 pub fn statistics_files(root: Root, statistics: &Statistics) -> [(&'static str, Vec<u8>); 2] {
     let [mean, std] = names(root);
     let bytes = |values: &[f64]| {
@@ -32,9 +32,9 @@ pub fn statistics_files(root: Root, statistics: &Statistics) -> [(&'static str, 
     ]
 }
 
-/// Reads the statistics of clips in this representation, if the dataset has them, with the
-/// checksums of both files. Fails with [`Error::File`] for one file without the other, another
-/// layout, and unusable numbers; [`Error::Store`].
+/// Reads the dataset's statistics for this representation, if any, and the checksums of both files.
+/// Fails with [`Error::File`] if one file is missing, or for an invalid shape or number;
+/// [`Error::Store`].
 pub(super) fn read_stored(
     files: &Files,
     representation: &JointFeatures,

@@ -1,4 +1,4 @@
-//! Synthetic clips: walks along random paths with captions, a function of seed and index.
+//! Synthetic clips: walks along random paths with captions, determined by seed and index.
 
 use std::collections::HashMap;
 use std::f64::consts::{PI, TAU};
@@ -25,8 +25,8 @@ pub fn synthetic_id(index: usize) -> String {
 }
 
 /// Walk number `index` of this `seed`: `frames` frames of features of [`Skeleton::humanml3d`] at 20
-/// per second, with captions and unit-length embeddings keyed by the captions' words. Panics if
-/// `frames` is zero.
+/// frames per second, with captions. The words of a caption determine its unit-length embedding.
+/// Panics if `frames` is zero.
 pub fn walk(index: usize, frames: usize, seed: u64) -> Clip {
     let key = Key::new(seed, Purpose::Synthetic)
         .named("walk")
@@ -56,7 +56,7 @@ struct Plan {
     side: f64,
     /// Index in [`PACES`].
     pace: usize,
-    /// Metres per second.
+    /// Meters per second.
     speed: f64,
     /// Phase of the slow change of speed, radians.
     ease: f64,
@@ -76,14 +76,14 @@ enum Shape {
 
 const SHAPES: [Shape; 4] = [Shape::Straight, Shape::Circle, Shape::Turn, Shape::Winding];
 
-/// Slowest speed of each pace in metres per second, and its words in captions.
+/// Minimum speed of each pace in meters per second, and the words for the pace.
 const PACES: [(f64, &str, &str); 3] = [
     (0.6, "walks slowly", "walking slowly"),
     (0.95, "walks", "walking"),
     (1.3, "walks fast", "walking quickly"),
 ];
 
-/// Seconds that a turn by a quarter of a circle takes.
+/// Duration of a quarter turn, seconds.
 const TURN_SECONDS: f64 = 1.6;
 
 impl Plan {
@@ -124,7 +124,7 @@ impl Plan {
         }
     }
 
-    /// Two captions of the whole walk and, if it turns, one of the part before and one of the rest.
+    /// Two captions of the whole walk. A walk with a turn also has captions for its two halves.
     fn captions(&self, seconds: f64) -> Vec<Caption> {
         let side = if self.side > 0.0 { "left" } else { "right" };
         let (_, walks, walking) = PACES[self.pace];
@@ -173,7 +173,7 @@ fn caption(text: String, seconds: Option<(f64, f64)>) -> Caption {
     }
 }
 
-/// Walks that are synthesised on demand.
+/// Walks that are synthesized on demand.
 #[derive(Debug)]
 pub(super) struct Walks {
     config: SyntheticConfig,
@@ -182,7 +182,7 @@ pub(super) struct Walks {
 }
 
 impl Walks {
-    /// The walks of a valid `config`; without embeddings unless `conditional`.
+    /// The walks of a valid `config`, with embeddings if `conditional`.
     pub fn new(config: &DataConfig, conditional: bool) -> Self {
         Self {
             config: config.synthetic.clone(),
@@ -298,7 +298,7 @@ mod tests {
                 _ => 0.9..1.26,
             };
             assert!(pace.contains(&speed), "{text}: {speed}");
-            // The stored angle is half the yaw with the other sign; to the left is positive.
+            // The stored angle is minus half the yaw; a turn to the left is positive.
             let yaw = -2.0 * f64::from(absolute.frame(119)[0]);
             let last = positions[119];
             match text {

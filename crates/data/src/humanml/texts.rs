@@ -1,4 +1,4 @@
-//! The captions of a clip: `texts/ID.txt`, one per line.
+//! The captions of a clip: `texts/ID.txt`, one caption per line.
 
 use std::borrow::Cow;
 use std::fs;
@@ -11,7 +11,7 @@ use kinegrad_motion::metrics::text_motion::{PartOfSpeech, Token};
 use crate::FileError;
 use crate::file::read_file;
 
-/// Folder of all captions, in files `ID.txt`.
+/// Folder of all captions; its files are `ID.txt`.
 pub const TEXTS: &str = "texts";
 
 /// Largest file of captions.
@@ -25,7 +25,7 @@ pub fn texts_path(id: &str) -> String {
     format!("{TEXTS}/{id}.txt")
 }
 
-/// A caption of a clip, or of a range of it.
+/// A caption of a clip or of a frame range.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Caption {
     /// The sentence.
@@ -34,12 +34,12 @@ pub struct Caption {
     pub tokens: Vec<Token>,
     /// The caption range in seconds; `None` for the whole clip.
     pub seconds: Option<(f64, f64)>,
-    /// Its embedding, `[512]`, if the dataset has one.
+    /// The caption's embedding, `[512]`, if the dataset has embeddings.
     pub embedding: Option<Arc<[f32]>>,
 }
 
 impl Caption {
-    /// Its tokens or, if the file has none, the words of its text.
+    /// The tokens of the caption or, without tokens, the words of its text.
     pub fn words(&self) -> Cow<'_, [Token]> {
         if !self.tokens.is_empty() {
             return Cow::Borrowed(&self.tokens);
@@ -52,7 +52,7 @@ impl Caption {
         words.filter(|word| !word.is_empty()).map(token).collect()
     }
 
-    /// The caption range in frames, of a clip of `frames` frames.
+    /// The caption range in frames, in a clip of `frames` frames.
     pub fn frames(&self, frames: usize, fps: f64) -> Range<usize> {
         let Some((from, to)) = self.seconds else {
             return 0..frames;
@@ -62,7 +62,7 @@ impl Caption {
         frame(from)..frame(to).max(frame(from))
     }
 
-    /// Its line in `texts/ID.txt`, as [`parse_captions`] reads it.
+    /// The caption's line in `texts/ID.txt`, as [`parse_captions`] reads it.
     pub fn line(&self) -> String {
         let tokens: Vec<String> = self.tokens.iter().map(Token::to_string).collect();
         let (from, to) = self.seconds.unwrap_or_default();
@@ -70,11 +70,11 @@ impl Caption {
     }
 }
 
-/// Parses a file of captions; `file` names it in errors.
+/// Parses a file of captions; `file` names the file in errors.
 ///
 /// A line is `CAPTION#TOKENS#FROM#TO`: sentence, words with parts of speech ([`Token::parse_all`]),
-/// and the range in seconds, where 0.0 and 0.0 (or NaN) are the whole clip. Empty lines are
-/// skipped. Fails with [`FileError::Unusable`] with the line.
+/// and the range in seconds. A range from 0.0 to 0.0 (or NaN) is the whole clip. Empty lines are
+/// skipped. Fails with [`FileError::Unusable`], which names the line.
 pub fn parse_captions(bytes: &[u8], file: &str) -> Result<Vec<Caption>, FileError> {
     let text = str::from_utf8(bytes).map_err(|error| {
         let line = 1 + bytes[..error.valid_up_to()]
@@ -105,8 +105,8 @@ pub fn parse_captions(bytes: &[u8], file: &str) -> Result<Vec<Caption>, FileErro
         .collect()
 }
 
-/// The captions of every clip in a local dataset `folder`, by id. Fails with [`FileError`] for a
-/// folder without texts, and as [`parse_captions`].
+/// Reads the captions of every clip in a local dataset `folder`, by id. Fails with [`FileError`]
+/// for a folder without texts, and as [`parse_captions`].
 pub fn read_captions(folder: &Path) -> Result<Vec<(String, Vec<Caption>)>, FileError> {
     let texts = folder.join(TEXTS);
     let listed = fs::read_dir(&texts).and_then(Iterator::collect::<Result<Vec<_>, _>>);
@@ -134,7 +134,7 @@ pub fn read_captions(folder: &Path) -> Result<Vec<(String, Vec<Caption>)>, FileE
     }
 }
 
-/// A caption, or what was found and what is expected.
+/// Parses a caption. The error is the found and the expected text.
 fn parse_line(line: &str) -> Result<Caption, (String, String)> {
     let mut fields = line.rsplitn(4, '#');
     let (Some(to), Some(from), Some(tokens), Some(text)) =

@@ -18,15 +18,14 @@ const WORDS: &str = "words";
 const HINT: &str = "docs/dataset.md shows how to make the file of the published vectors";
 
 /// Reads a file of word vectors: a tensor `vectors`, `[words, width]` in single or half precision,
-/// and a metadata entry `words`, a JSON list of as many words. Fails with [`FileError::Unusable`]
-/// for another kind of file, repeated words, values that are not finite, and without the word
-/// `unk`.
+/// and a metadata entry `words`, a JSON list of the same length. Fails with [`FileError::Unusable`]
+/// for another kind of file, repeated words, values that are not finite, and a missing word `unk`.
 pub fn read_word_vectors(path: &Path) -> Result<WordVectors, FileError> {
     let bytes = read_file(path, MAX_TENSOR_BYTES).map_err(FileError::read(path))?;
     parse_word_vectors(&bytes, &path.display().to_string())
 }
 
-/// Parses what [`read_word_vectors`] reads; `file` names it in errors. Fails as
+/// Parses the bytes of a file of word vectors; `file` names the file in errors. Fails as
 /// [`read_word_vectors`].
 pub fn parse_word_vectors(bytes: &[u8], file: &str) -> Result<WordVectors, FileError> {
     let unexpected = |found: String, expected: &str| {
@@ -65,7 +64,7 @@ mod tests {
 
     use super::*;
 
-    /// A file with this tensor and this metadata entry.
+    /// A file with this tensor and metadata entry.
     fn file(dtype: Dtype, shape: &[usize], entry: (&str, &str)) -> Vec<u8> {
         let size = dtype.bitsize() / 8;
         let count: usize = shape.iter().product();

@@ -2,7 +2,7 @@
 
 use super::{Cells, ManifestRow};
 
-/// A table, which this build cannot make.
+/// A stand-in for tables, which need the feature `manifest`.
 #[derive(Clone, Debug)]
 pub(super) enum DataFrame {}
 

@@ -8,7 +8,8 @@
 //! VALUE    = NUMBER | WORD | 'TEXT' | "TEXT"
 //! ```
 //!
-//! `like` takes a pattern with `*` for any characters. Conditions on missing values are false.
+//! `like` takes a pattern, in which `*` matches any characters. Conditions on missing values are
+//! false.
 
 use std::cmp::Ordering;
 
@@ -17,7 +18,7 @@ use polars::prelude::{DataFrame, DataType};
 use super::table::{cast, numbers};
 use crate::pattern::matches;
 
-/// Most parts of a filter.
+/// Maximum number of words in a filter.
 const MAX_PARTS: usize = 200;
 
 /// The rows of `frame` that match the condition, or the condition's error.
@@ -37,7 +38,7 @@ pub(super) fn rows(condition: &str, frame: &DataFrame) -> Result<Vec<bool>, Stri
     }
 }
 
-/// The rest of a condition, and its table.
+/// The unread rest of a condition, and the table.
 struct Reader<'a> {
     rest: &'a [Word],
     frame: &'a DataFrame,
@@ -78,7 +79,7 @@ impl Reader<'_> {
         compare(self.frame, &column.text, &operator.text, &value.text)
     }
 
-    /// Consumes this word if it is next.
+    /// Consumes the next word if it is `keyword`.
     fn take(&mut self, keyword: &str) -> bool {
         match self.rest {
             [first, after @ ..] if first.is(keyword) => {
@@ -142,7 +143,7 @@ fn compare(
     Ok(met.collect())
 }
 
-/// A part of a condition, and whether it was quoted.
+/// A word of a condition, quoted or not.
 #[derive(Debug, PartialEq)]
 struct Word {
     text: String,

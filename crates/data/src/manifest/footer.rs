@@ -1,9 +1,9 @@
-//! A validated footer for polars, in place of the file's own.
+//! A validated footer that replaces the file's own footer for polars.
 //!
-//! polars (0.55) trusts a Parquet file: a page of -2 values, a list of 2^31 columns or an Arrow
-//! schema of 2000 nested lists aborts the process, as failed allocations and full stacks do not
-//! unwind. So the footer is parsed here within a budget and rewritten with the flat columns of text
-//! and numbers, whose pages are checked (Parquet format, "Metadata").
+//! polars (0.55) trusts a Parquet file. A page of -2 values, a list of 2^31 columns or an Arrow
+//! schema of 2000 nested lists aborts the process, because failed allocations and stack overflows
+//! do not unwind. This module parses the footer within a budget and rewrites it with the flat
+//! columns of text and numbers, whose pages are checked (Parquet format, "Metadata").
 
 use std::collections::HashSet;
 
@@ -15,28 +15,30 @@ use polars_parquet_format::{
 
 use super::pages::unpacked_bytes;
 
-/// Largest footer; it grows with columns and row groups, not with rows.
+/// Largest footer; its size grows with columns and row groups, not with rows.
 const MAX_FOOTER_BYTES: usize = 4 << 20;
 
-/// Memory of a parsed footer per byte. An element of a list counts for 8 bytes and takes 1 or more.
+/// Memory limit of the parsed footer, per byte. A list element counts for 8 bytes and takes 1 or
+/// more.
 const FOOTER_BUDGET: usize = 8;
 
-/// Most values per byte of the file. Nearly every row has an incompressible checksum of 32 bytes;
-/// this allows some 256 columns.
+/// Maximum number of values per byte of the file. Nearly every row has an incompressible checksum
+/// of 32 bytes; the maximum allows some 256 columns.
 const MAX_VALUES_PER_BYTE: usize = 8;
 
-/// Most unpacked bytes per byte of the file, beside [`SPARE_BYTES`].
+/// Maximum number of unpacked bytes per byte of the file, beyond [`SPARE_BYTES`].
 const MAX_UNPACKING: usize = 256;
 
-/// Unpacked bytes that every file may have.
+/// Number of unpacked bytes that every file may have.
 const SPARE_BYTES: usize = 1 << 20;
 
-/// Most bytes that a file of `length` bytes may unpack to.
+/// Maximum number of unpacked bytes for a file of `length` bytes.
 pub(super) fn most_unpacked(length: usize) -> usize {
     length.saturating_mul(MAX_UNPACKING) + SPARE_BYTES
 }
 
-/// The file with a footer of the `wanted` columns, or all, without nested ones, dates and times.
+/// The file with a footer of the `wanted` columns, or of all; nested columns, dates and times are
+/// left out.
 pub(super) fn rewritten(mut file: Vec<u8>, wanted: Option<&[&str]>) -> Result<Vec<u8>, String> {
     let [.., a, b, c, d, b'P', b'A', b'R', b'1'] = *file.as_slice() else {
         return Err("it does not end with PAR1".to_owned());
@@ -64,7 +66,7 @@ pub(super) fn rewritten(mut file: Vec<u8>, wanted: Option<&[&str]>) -> Result<Ve
     Ok(file)
 }
 
-/// The footer of the columns that are read, if it agrees with their pages in `body`.
+/// The footer of the columns to read, if it matches the column pages in `body`.
 fn checked(
     footer: FileMetaData,
     body: &[u8],
@@ -121,14 +123,14 @@ fn checked(
     ))
 }
 
-/// The leaves of a schema in order: those that are read, `None` for others.
+/// The leaves of a schema in order; a leaf that is not read is `None`.
 fn leaves(
     schema: &[SchemaElement],
     wanted: Option<&[&str]>,
 ) -> Result<Vec<Option<SchemaElement>>, String> {
     let mut leaves = Vec::new();
     let mut names = HashSet::new();
-    // Elements of the current nested column that follow, depth first.
+    // Number of remaining elements in the current nested column, depth first.
     let mut nested = 0_usize;
     for element in schema.iter().skip(1) {
         let flat = nested == 0;
@@ -227,7 +229,7 @@ fn chunk(
         None,
         column.data_page_offset,
         None,
-        // Some writers use 0 without a dictionary.
+        // Some writers use 0 for a column without a dictionary.
         column.dictionary_page_offset.filter(|offset| *offset > 0),
         None,
         None,
@@ -252,7 +254,7 @@ mod tests {
     use crate::manifest::tests::row;
     use polars_parquet_format::{KeyValue, TimeUnit, TimestampType};
 
-    /// A manifest of two phrases with a `change`d footer.
+    /// A manifest of two phrases whose footer is edited by `change`.
     fn changed(change: impl FnOnce(&mut FileMetaData)) -> Vec<u8> {
         let mut file = encode(vec![row("a"), row("b")]).unwrap();
         let end = file.len() - 8;
@@ -335,7 +337,7 @@ mod tests {
             let message = decode(changed(change), None).expect_err(expected);
             assert!(message.contains(expected), "{message} lacks {expected}");
         }
-        // Without columns nothing bounds the rows but the file's length.
+        // Without columns, only the file's length limits the rows.
         let empty = changed(|footer| {
             footer.schema.truncate(1);
             footer.num_rows = 1 << 29;

@@ -1,5 +1,5 @@
-//! `manifest.parquet`: one row for each phrase, with its sources and checksums. Without the Cargo
-//! feature `manifest` every attempt is [`Error::Feature`].
+//! `manifest.parquet`: one row for each phrase, with sources and checksums. Without the Cargo
+//! feature `manifest`, reading or writing a manifest fails with [`Error::Feature`].
 
 #[cfg(feature = "manifest")]
 mod filter;
@@ -27,7 +27,7 @@ pub const MAX_BYTES: u64 = 1 << 30;
 /// True if this build reads and writes manifests.
 pub const SUPPORTED: bool = cfg!(feature = "manifest");
 
-/// Reads the manifest of `store`; `None` if it has none. Fails with [`Error::Store`];
+/// Reads the manifest of `store`; `None` without a manifest. Fails with [`Error::Store`];
 /// [`Error::Manifest`] for another kind of file, a missing column, an invalid or repeated id, or an
 /// invalid checksum.
 pub fn read(store: &Store) -> Result<Option<Vec<ManifestRow>>, Error> {
@@ -36,12 +36,13 @@ pub fn read(store: &Store) -> Result<Option<Vec<ManifestRow>>, Error> {
     rows.transpose()
 }
 
-/// Reads a Parquet file; `object` names it in errors. Fails with [`Error::Manifest`], as [`read`].
+/// Reads a Parquet file; `object` names the file in errors. Fails with [`Error::Manifest`], as
+/// [`read`].
 pub fn parse(bytes: Vec<u8>, object: &str) -> Result<Vec<ManifestRow>, Error> {
     attempt(object, || table::rows(bytes))
 }
 
-/// Writes the manifest of `rows`, sorted by id, into `store`; equal rows give equal bytes. Fails
+/// Writes the manifest of `rows`, sorted by id, into `store`. Equal rows give equal bytes. Fails
 /// with [`Error::Store`].
 pub fn write(store: &Store, rows: Vec<ManifestRow>) -> Result<(), Error> {
     let bytes = attempt(&store.name_of(MANIFEST), || table::encode(rows))?;
@@ -61,9 +62,9 @@ pub enum Cells {
     Flags(Vec<bool>),
 }
 
-/// Writes a manifest of named columns of equal length into `store`, for datasets that are not of
-/// phrases. Fails with [`Error::Store`]; [`Error::Manifest`] for columns of different lengths or
-/// the same name.
+/// Writes a manifest of named columns of equal length into `store`, for datasets without phrases.
+/// Fails with [`Error::Store`]; [`Error::Manifest`] for columns of different lengths or with the
+/// same name.
 pub fn write_columns(store: &Store, columns: Vec<(String, Cells)>) -> Result<(), Error> {
     let bytes = attempt(&store.name_of(MANIFEST), || table::encode_columns(columns))?;
     Ok(store.write(MANIFEST, bytes)?)
@@ -88,8 +89,8 @@ pub struct Selection {
 }
 
 impl Selection {
-    /// All rows of the manifest of `store`; `None` if it has none. Fails with [`Error::Store`];
-    /// [`Error::Manifest`].
+    /// Reads all rows of the manifest of `store`; `None` without a manifest. Fails with
+    /// [`Error::Store`]; [`Error::Manifest`].
     pub fn read(store: &Store) -> Result<Option<Self>, Error> {
         let Some(bytes) = store.find(MANIFEST, MAX_BYTES)? else {
             return Ok(None);
@@ -98,8 +99,8 @@ impl Selection {
         Ok(Some(Self { frame }))
     }
 
-    /// The rows that match `condition`, as `tempo > 100 and split = train`. Fails with the problem
-    /// of the condition.
+    /// The rows that match `condition`, such as `tempo > 100 and split = train`. Fails with the
+    /// error of the condition.
     pub fn filter(&self, condition: &str) -> Result<Self, String> {
         let frame = table::filter(&self.frame, condition)?;
         Ok(Self { frame })

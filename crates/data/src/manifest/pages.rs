@@ -1,12 +1,13 @@
-//! Consistency of a column's pages and footer (Parquet format, "Data Pages").
+//! Checks of a column's pages against its footer (Parquet format, "Data Pages").
 
 use polars_parquet_format::thrift::protocol::TCompactInputProtocol;
 use polars_parquet_format::{Encoding, PageHeader, PageType};
 
-/// Memory of a parsed page header per byte of its column.
+/// Memory limit of a parsed page header, per byte of its column.
 const HEADER_BUDGET: usize = 8;
 
-/// Supported encodings. Delta encodings contain their own counts, which polars trusts.
+/// Supported encodings. Delta encodings contain their own counts, which polars trusts without a
+/// check.
 const ENCODINGS: [Encoding; 5] = [
     Encoding::PLAIN,
     Encoding::PLAIN_DICTIONARY,
@@ -15,7 +16,8 @@ const ENCODINGS: [Encoding; 5] = [
     Encoding::BYTE_STREAM_SPLIT,
 ];
 
-/// Unpacked bytes, at most `limit`, of the `values` values of a flat column in one row group.
+/// Number of unpacked bytes, at most `limit`, of a flat column with `values` values in one row
+/// group.
 pub(super) fn unpacked_bytes(
     mut pages: &[u8],
     values: usize,
@@ -38,7 +40,7 @@ pub(super) fn unpacked_bytes(
     Ok(limit - unpacked_left)
 }
 
-/// The values of the next page and its unpacked bytes, by its header.
+/// Number of values and unpacked bytes of the next page, from the page header.
 fn next(rest: &mut &[u8], may_be_dictionary: bool) -> Result<(usize, usize), String> {
     let budget = HEADER_BUDGET * rest.len();
     let mut protocol = TCompactInputProtocol::new(&mut *rest, budget);
@@ -104,7 +106,7 @@ mod tests {
     use polars_parquet_format::thrift::protocol::TCompactOutputProtocol;
     use polars_parquet_format::{DataPageHeader, DataPageHeaderV2, DictionaryPageHeader};
 
-    /// A page of 8 bytes, which unpack to 16.
+    /// A page of 8 bytes that unpacks to 16 bytes.
     fn page(type_: PageType) -> PageHeader {
         PageHeader::new(type_, 16, 8, None, None, None, None, None)
     }
@@ -134,7 +136,7 @@ mod tests {
         }
     }
 
-    /// The result for a column of 5 values in these pages, which may unpack to 40 bytes.
+    /// The result for a column of 5 values in these pages, with at most 40 unpacked bytes.
     fn read(pages: &[PageHeader]) -> Result<usize, String> {
         let mut bytes = Vec::new();
         for page in pages {

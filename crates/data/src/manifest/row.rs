@@ -9,13 +9,13 @@ use crate::{AudioGroup, Digest, Side};
 /// A row of the manifest.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct ManifestRow {
-    /// Id of the phrase, the name of its folders.
+    /// Id of the phrase and name of its folders.
     pub id: String,
     /// The source motion, as named in the plan.
     pub motion_source: String,
-    /// The song, as named in the plan; none if the features are zeros.
+    /// The song, as named in the plan; `None` if the features are zeros.
     pub audio_source: Option<String>,
-    /// Its first frame in the song or, without one, in the used motion.
+    /// First frame in the song or, without a song, in the used motion.
     pub first_frame: i64,
     /// Number of frames.
     pub frames: i64,
@@ -25,7 +25,7 @@ pub struct ManifestRow {
     pub beats: Option<f64>,
     /// Beats per minute, if known.
     pub tempo: Option<f64>,
-    /// Its side of the split; none if training decides.
+    /// Side of the split; `None` if training decides.
     pub split: Option<Side>,
     /// Size of its motion file, bytes.
     pub motion_bytes: i64,
@@ -35,10 +35,10 @@ pub struct ManifestRow {
     pub audio_bytes: i64,
     /// Checksum of its audio file.
     pub audio_sha256: Digest,
-    /// Groups of audio features in its audio file; none if unknown.
+    /// Groups of audio features in the audio file; `None` if unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub audio_features: Option<Vec<AudioGroup>>,
-    /// Its label, such as the dance style, if any.
+    /// Label, such as the dance style, if any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub label: Option<String>,
     /// Notes about it.
@@ -53,13 +53,13 @@ pub enum Flag {
     NoAudio,
     /// No beats: the phase is zero.
     NoBeats,
-    /// It contains a border between two captured units.
+    /// The phrase contains a border between two captured units.
     JoinedUnits,
     /// Short gaps of markers were interpolated.
     FilledGaps,
-    /// It fails CC-MotionGen's sanity checks.
+    /// The phrase fails CC-MotionGen's sanity checks.
     FailsCcmotionChecks,
-    /// A part of its song was damaged or missing: what follows may be early.
+    /// A part of the song was damaged or missing: the following audio may be early.
     DamagedAudio,
 }
 

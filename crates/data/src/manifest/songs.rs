@@ -12,9 +12,9 @@ pub struct Songs {
 }
 
 impl Songs {
-    /// Reads the manifest of the dataset of `config`; empty without one, or if this build cannot
-    /// read it. Fails with [`Error::Scheme`], [`Error::Store`], and [`Error::Manifest`] for an
-    /// invalid manifest.
+    /// Reads the manifest of the dataset of `config`; empty without a manifest, or if this build
+    /// cannot read manifests. Fails with [`Error::Scheme`], [`Error::Store`], and
+    /// [`Error::Manifest`] for an invalid manifest.
     pub fn read(config: &DataConfig) -> Result<Self, Error> {
         if config.kind != DataKind::Phrases {
             return Ok(Self::default());
@@ -31,7 +31,7 @@ impl Songs {
         })
     }
 
-    /// The song of a phrase, see [`song_of`].
+    /// The song of a phrase, as in [`song_of`].
     pub fn song(&self, id: &str) -> String {
         let row = self.stated.get(id);
         song_of(id, row.and_then(|row| row.audio_source.as_deref()))

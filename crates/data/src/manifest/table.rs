@@ -51,7 +51,7 @@ pub(super) fn encode_columns(columns: Vec<(String, Cells)>) -> Result<Vec<u8>, S
     written(DataFrame::new_infer_height(columns.collect()))
 }
 
-/// The `wanted` columns of a Parquet file, or all; or its problem.
+/// The `wanted` columns of a Parquet file, or all; or the file's error.
 pub(super) fn decode(bytes: Vec<u8>, wanted: Option<&[&str]>) -> Result<DataFrame, String> {
     let most_text = footer::most_unpacked(bytes.len());
     // polars panics on some damaged pages.
@@ -64,7 +64,7 @@ pub(super) fn decode(bytes: Vec<u8>, wanted: Option<&[&str]>) -> Result<DataFram
         if let Some(column) = frame.columns().iter().find(|c| c.len() != height) {
             return Err(format!("column `{}` is cut off", column.name()));
         }
-        // Cells share the text of a dictionary until they are copied into rows.
+        // Cells share the text of a dictionary until rows copy the text.
         let text: usize = frame.columns().iter().map(text_bytes).sum();
         if text > most_text {
             return Err(format!("{text} bytes of text, {most_text} allowed"));
@@ -112,7 +112,7 @@ pub(super) fn table(rows: &[ManifestRow]) -> Result<DataFrame, PolarsError> {
             row.flags.iter().map(Flag::to_string).collect::<Vec<_>>().join(",")
         }),
     )?;
-    // The column exists only with labels.
+    // The column exists only if a phrase has a label.
     if rows.iter().any(|row| row.label.is_some()) {
         let labels = some_texts(&|row| row.label.clone());
         frame.with_column(Column::new(LABEL_COLUMN.into(), labels))?;
@@ -120,7 +120,7 @@ pub(super) fn table(rows: &[ManifestRow]) -> Result<DataFrame, PolarsError> {
     Ok(frame)
 }
 
-/// The rows of a Parquet file, or its problem. Only ids and checksums are required, so that
+/// The rows of a Parquet file, or the file's error. Only ids and checksums are required, so
 /// manifests can be written by hand.
 pub(super) fn rows(bytes: Vec<u8>) -> Result<Vec<ManifestRow>, String> {
     let written = table(&[]).map_err(|error| error.to_string())?;
@@ -225,7 +225,7 @@ fn listed(groups: &[AudioGroup]) -> String {
     names.collect::<Vec<_>>().join(",")
 }
 
-/// The value that serialises as `name`.
+/// The value that serializes as `name`.
 fn named<'a, T: Deserialize<'a>>(name: &'a str) -> Option<T> {
     let name: StrDeserializer<value::Error> = name.into_deserializer();
     T::deserialize(name).ok()

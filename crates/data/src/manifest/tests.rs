@@ -91,8 +91,8 @@ fn ids_that_lead_elsewhere_and_broken_columns_are_refused() {
     assert!(reread(b"PAR1").is_err());
 }
 
-/// Counts are zigzag numbers, whose lowest bit is the sign: a page of -2 values asked for more
-/// memory than there is.
+/// Counts are zigzag numbers, whose lowest bit is the sign. A page of -2 values requested more
+/// memory than the machine has.
 #[test]
 fn no_flipped_sign_in_the_first_columns_is_fatal() {
     let whole = table::encode(vec![row("a"), row("b")]).unwrap();
@@ -107,7 +107,7 @@ fn no_flipped_sign_in_the_first_columns_is_fatal() {
     assert!(refused > 0);
 }
 
-/// 2000 cells share the one text of a dictionary.
+/// 2000 cells share one dictionary text.
 #[test]
 fn shared_texts_are_bounded() {
     let mut frame = df!("id" => vec!["long".repeat(5000); 2000]).unwrap();

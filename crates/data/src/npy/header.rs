@@ -1,4 +1,4 @@
-//! The header of a `.npy` file: a Python dictionary of dtype, order and shape after a magic string
+//! The header of a `.npy` file: a magic string, and a Python dictionary of dtype, order and shape
 //! (NumPy's `numpy.lib.format`, versions 1 to 3).
 
 use crate::FileError;
@@ -6,24 +6,24 @@ use crate::FileError;
 /// NumPy's limit.
 pub(super) const MAX_HEADER_BYTES: usize = 10_000;
 
-/// Alignment of the data, as NumPy's, so that it can be mapped.
+/// NumPy's alignment of the data for memory mapping.
 const ALIGNMENT: usize = 64;
 
 /// A parsed header.
 #[derive(Debug, PartialEq)]
 pub(super) struct Header {
-    /// Double precision, else single.
+    /// True for double precision, false for single precision.
     pub(super) double: bool,
-    /// The first axis is the fastest, else the last.
+    /// True if the first axis is the fastest, false if the last axis is.
     pub(super) fortran_order: bool,
     pub(super) shape: Vec<usize>,
     /// The product of the axes.
     pub(super) length: u64,
-    /// Where the data begin.
+    /// Offset of the data, bytes.
     pub(super) data_start: usize,
 }
 
-/// The bytes before the data of a little-endian float32 array of this shape, in C order.
+/// The header of a little-endian float32 array of this shape, in C order.
 pub(super) fn write(shape: &[usize]) -> Vec<u8> {
     let axes: String = shape.iter().map(|axis| format!("{axis}, ")).collect();
     let axes = match shape {
@@ -42,7 +42,7 @@ pub(super) fn write(shape: &[usize]) -> Vec<u8> {
     bytes
 }
 
-/// Reads the header of a file's `bytes`; `file` names it in errors.
+/// Reads the header of a file's `bytes`; `file` names the file in errors.
 pub(super) fn read(bytes: &[u8], file: &str) -> Result<Header, FileError> {
     let not_npy = |reason: String| {
         let hint = "write it again with numpy.save(path, array.astype(\"<f4\")) or \
@@ -79,7 +79,7 @@ pub(super) fn read(bytes: &[u8], file: &str) -> Result<Header, FileError> {
         }
     };
     let shape = axes(shape).map_err(not_npy)?;
-    // A zero axis can hide an axis longer than the file.
+    // An axis of length zero can hide an axis longer than the file.
     let length = shape
         .iter()
         .try_fold(1u64, |product, &axis| product.checked_mul(axis as u64))
@@ -154,7 +154,7 @@ fn entries(text: &str) -> Result<[&str; 3], String> {
     }
 }
 
-/// The end of the first entry of `text`: a comma outside of brackets and quotes, or the end.
+/// The end of the first entry of `text`: the first comma outside brackets and quotes, or the end.
 fn end_of_entry(text: &str) -> Result<usize, String> {
     let (mut depth, mut quote) = (0usize, None);
     for (place, byte) in text.bytes().enumerate() {
@@ -193,7 +193,7 @@ fn axes(tuple: &str) -> Result<Vec<usize>, String> {
     let axes: Vec<usize> = axes
         .map(|axis| self::axis(axis.trim_ascii()))
         .collect::<Result<_, _>>()?;
-    // A single number in brackets is not a tuple.
+    // In Python, a single number in brackets is not a tuple.
     if axes.len() == 1 && closed.is_none() {
         return Err(wrong());
     }

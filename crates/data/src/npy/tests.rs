@@ -1,7 +1,7 @@
 use super::*;
 use proptest::prelude::*;
 
-/// A `.npy` file with any header, for broken files on purpose.
+/// A `.npy` file with an arbitrary, possibly invalid, header.
 pub(crate) fn raw(descr: &str, fortran: bool, shape: &str, data: &[u8]) -> Vec<u8> {
     let order = if fortran { "True" } else { "False" };
     let text = format!("{{'descr': {descr}, 'fortran_order': {order}, 'shape': {shape}, }}\n");

@@ -10,7 +10,7 @@ fn ramp(frames: usize) -> AudioFeatures {
     AudioFeatures::new(frames, values).unwrap()
 }
 
-/// An archive of six members, each made by `make(name, rows)`; `None` leaves it out.
+/// An archive of six members, each created by `make(name, rows)`; `None` omits the member.
 fn archive(make: impl Fn(&str, usize) -> Option<Vec<u8>>) -> Vec<u8> {
     let mut writer = ZipWriter::new(Cursor::new(Vec::new()));
     let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
@@ -59,7 +59,7 @@ fn stored_members_are_read_too() {
 fn broken_archives_say_what_is_wrong() {
     let good = archive(|_, rows| Some(member(rows, 4)));
     let mut flipped = good.clone();
-    // A byte of mel's data: only the checksum differs.
+    // The change is in mel's data, so only the checksum differs.
     flipped[300] ^= 1;
     for (bytes, expected) in [
         (
@@ -100,7 +100,7 @@ fn broken_archives_say_what_is_wrong() {
     }
 }
 
-/// A deflated archive, the declared size of whose members is `change`d in the directory.
+/// A deflated archive whose directory declares member sizes edited by `change`.
 fn with_declared_size(change: impl Fn(u32) -> u32) -> Vec<u8> {
     let mut bytes = super::archive(&ramp(4), &[], CompressionMethod::Deflated);
     let places = bytes.windows(4).enumerate();
@@ -143,7 +143,7 @@ proptest! {
         let mut bytes = archive(|_, rows| Some(member(rows, 2)));
         let length = bytes.len();
         for (place, byte) in changes {
-            // The directory at the end is a tenth of the file and most of the parser.
+            // The directory at the end is a tenth of the file and needs most of the parser.
             let place = if tail { 1.0 - place * 0.25 } else { place };
             bytes[(place * (length - 1) as f64) as usize] = byte;
         }

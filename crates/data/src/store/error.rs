@@ -3,7 +3,7 @@
 use miette::Diagnostic;
 use thiserror::Error;
 
-/// A problem of one object, given by its path or address.
+/// A problem of one object. The object is a path or address.
 #[derive(Clone, Debug, Error, Diagnostic)]
 pub enum StoreError {
     /// The object does not exist.
@@ -40,7 +40,7 @@ pub enum StoreError {
         /// The last reason.
         reason: String,
     },
-    /// The bytes differ from those in the manifest or at the start of the run.
+    /// The bytes differ from the checksum in the manifest or at the start of the run.
     #[error(
         "{object}: its contents are not those {recorded}: sha256 {found} found, {expected} expected"
     )]
@@ -66,7 +66,7 @@ pub enum StoreError {
         object: String,
         /// Its size in bytes.
         found: u64,
-        /// The longest allowed.
+        /// The largest allowed size, bytes.
         limit: u64,
     },
     /// A symbolic link leads out of the dataset's folder.
@@ -101,7 +101,7 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// True if the error concerns this object only, not the store or the identity of the dataset.
+    /// True if the error concerns a single object, not the store or the identity of the dataset.
     pub fn concerns_one_object(&self) -> bool {
         matches!(
             self,

@@ -9,7 +9,7 @@ use crate::file::read_file;
 use crate::layout::check_path;
 use crate::{Error, atomic};
 
-/// A folder whose contents are never read outside of it.
+/// A folder; reads never leave it.
 #[derive(Clone, Debug)]
 pub(super) struct Folder {
     root: PathBuf,
@@ -20,10 +20,10 @@ impl Folder {
         Self { root }
     }
 
-    /// Path of a file, existing or not, if it is within the folder.
+    /// Path of a file in the folder; the file need not exist.
     fn checked(&self, path: &str) -> Result<PathBuf, StoreError> {
         check_path(path)?;
-        // Existing folders may be links; others are created within the last one.
+        // Existing folders may be links; new folders are created in the last existing folder.
         let mut folder = Path::new(path);
         while let Some(parent) = folder.parent().filter(|parent| *parent != Path::new("")) {
             folder = parent;
@@ -35,12 +35,12 @@ impl Folder {
         Ok(self.root.join(path))
     }
 
-    /// The full path, if it is within the folder after following links.
+    /// The full path, if it stays in the folder after following links.
     fn inside(&self, path: &str) -> Result<PathBuf, StoreError> {
         check_path(path)?;
         let full = self.root.join(path);
         let real = full.canonicalize().map_err(|reason| {
-            // As in a checkout without its large files.
+            // A checkout without its large files has such links.
             let dangling = fs::symlink_metadata(&full).is_ok_and(|data| data.is_symlink());
             match dangling {
                 true => broken(&full, "read", "a symbolic link to nothing"),
@@ -89,7 +89,7 @@ impl Backend for Folder {
         })
     }
 
-    /// Removes a file, if it exists, and its empty folder below the root.
+    /// Removes a file, if it exists, and the file's empty folder below the root.
     fn remove(&self, path: &str) -> Result<(), StoreError> {
         let full = match self.inside(path) {
             Ok(full) => full,
@@ -98,7 +98,7 @@ impl Backend for Folder {
         };
         fs::remove_file(&full).map_err(|reason| failed(&full, "remove", &reason))?;
         if let Some(folder) = full.parent().filter(|folder| *folder != self.root) {
-            // Fails if the folder is not empty.
+            // Removing fails if the folder is not empty.
             let _ = fs::remove_dir(folder);
         }
         Ok(())
@@ -108,8 +108,8 @@ impl Backend for Folder {
         self.checked(path).map(Some)
     }
 
-    /// Hidden files and folders are left out. A folder without its file is listed: reading it
-    /// reports what is missing.
+    /// Hidden files and folders are left out. A folder is listed without its file, because reading
+    /// reports the missing file.
     fn list(&self, folder: &str, file: Option<&str>) -> Result<Vec<Object>, StoreError> {
         let place = self.root.join(folder);
         let unreadable = |reason| failed(&place, "list", &reason);

@@ -1,7 +1,7 @@
-//! Stores: reading, writing and listing the files of a dataset anywhere.
+//! Stores: reading, writing and listing the files of a dataset, local or remote.
 //!
-//! Local folders are read directly, because `object_store`'s local store follows symbolic links out
-//! of the folder. Buckets and web servers use `object_store` (Cargo feature `cloud`).
+//! Local folders are read directly, because the local store of `object_store` follows symbolic
+//! links out of the folder. Buckets and web servers use `object_store` (Cargo feature `cloud`).
 
 mod error;
 mod local;
@@ -31,7 +31,7 @@ pub struct Store {
 trait Backend: Debug + Send + Sync {
     fn uri(&self) -> String;
 
-    /// The address with its endpoint: two providers may have the same bucket.
+    /// The address and endpoint: two providers may have buckets of the same name.
     fn address(&self) -> String {
         self.uri()
     }
@@ -51,7 +51,7 @@ trait Backend: Debug + Send + Sync {
 
     fn place(&self, path: &str) -> Result<Option<PathBuf>, StoreError>;
 
-    /// All objects `FOLDER/ANY/FILE`, or, without a file, `FOLDER/NAME`.
+    /// All objects `FOLDER/ANY/FILE` or, without a file, `FOLDER/NAME`.
     fn list(&self, folder: &str, file: Option<&str>) -> Result<Vec<Object>, StoreError>;
 }
 
@@ -67,8 +67,8 @@ pub struct Object {
 }
 
 impl Store {
-    /// The store of `source` (see [`crate::DataConfig::source`]). A local folder need not exist
-    /// yet. Fails with [`Error::Scheme`] for another kind of source; [`Error::Feature`] for a
+    /// Opens the store of `source` (see [`crate::DataConfig::source`]). A local folder need not
+    /// exist yet. Fails with [`Error::Scheme`] for another kind of source; [`Error::Feature`] for a
     /// remote source in a build without `cloud`; [`Error::Store`] for unusable credentials or
     /// endpoints.
     pub fn open(source: &str, config: &StoreConfig) -> Result<Self, Error> {
@@ -92,7 +92,7 @@ impl Store {
         Ok(Self { backend, counters })
     }
 
-    /// The store's address, for messages.
+    /// The address of the store in messages.
     pub fn uri(&self) -> String {
         self.backend.uri()
     }
@@ -112,18 +112,19 @@ impl Store {
         format!("{}/{path}", self.uri().trim_end_matches('/'))
     }
 
-    /// True if reads use a network, so that caching helps.
+    /// True if reads use a network and therefore need a cache.
     pub fn is_remote(&self) -> bool {
         self.backend.is_remote()
     }
 
-    /// Reads the object at `path`, of at most `limit` bytes. Fails with [`StoreError::Missing`],
+    /// Reads the object at `path`, at most `limit` bytes. Fails with [`StoreError::Missing`],
     /// [`StoreError::TooLarge`] and others.
     pub fn read(&self, path: &str, limit: u64) -> Result<Vec<u8>, StoreError> {
         Ok(self.read_version(path, limit)?.0)
     }
 
-    /// Reads the object at `path`, if it exists. Fails as [`read`](Self::read) does, except with [`StoreError::Missing`].
+    /// Reads the object at `path`, if it exists. Fails as [`read`](Self::read), but not with
+    /// [`StoreError::Missing`].
     pub fn find(&self, path: &str, limit: u64) -> Result<Option<Vec<u8>>, StoreError> {
         match self.read(path, limit) {
             Err(StoreError::Missing(_)) => Ok(None),
@@ -131,7 +132,7 @@ impl Store {
         }
     }
 
-    /// [`read`](Self::read) with the version of the object.
+    /// [`read`](Self::read) that also returns the object's version.
     pub(crate) fn read_version(
         &self,
         path: &str,
@@ -142,7 +143,7 @@ impl Store {
         Ok((bytes, version))
     }
 
-    /// Writes the object at `path`, atomically. Fails with [`StoreError`]; [`StoreError::ReadOnly`]
+    /// Writes the object at `path` atomically. Fails with [`StoreError`]; [`StoreError::ReadOnly`]
     /// for a web server.
     pub fn write(&self, path: &str, bytes: Vec<u8>) -> Result<(), StoreError> {
         self.backend.write(path, bytes)
@@ -154,8 +155,8 @@ impl Store {
         self.backend.remove(path)
     }
 
-    /// Local path of the object at `path`, existing or not; `None` for remote stores. Fails with
-    /// [`StoreError::Outside`] if a link leads out of the folder.
+    /// Local path of the object at `path`, which need not exist; `None` for remote stores. Fails
+    /// with [`StoreError::Outside`] if a link leads out of the folder.
     pub fn place(&self, path: &str) -> Result<Option<PathBuf>, StoreError> {
         self.backend.place(path)
     }
@@ -168,7 +169,7 @@ impl Store {
         Ok(objects)
     }
 
-    /// All objects named `FOLDER/NAME.ENDING`, sorted by path; none without the folder. Fails with
+    /// All objects named `FOLDER/NAME.ENDING`, sorted by path; empty without the folder. Fails with
     /// [`StoreError`]; [`StoreError::NoListing`] for a web server.
     pub fn list_files(&self, folder: &str, ending: &str) -> Result<Vec<Object>, StoreError> {
         let mut objects = match self.backend.list(folder, None) {
@@ -181,7 +182,8 @@ impl Store {
         Ok(objects)
     }
 
-    /// The version of each object in `folder`, by path; empty if local or without a listing.
+    /// The version of each object in `folder`, by path; empty for local stores and without a
+    /// listing.
     pub(crate) fn versions(&self, folder: &str) -> Result<HashMap<String, String>, StoreError> {
         if !self.is_remote() {
             return Ok(HashMap::new());

@@ -1,8 +1,8 @@
 //! A dataset in a bucket or on a web server, through `object_store`.
 //!
 //! Credentials and endpoints come from the environment (`GOOGLE_APPLICATION_CREDENTIALS`,
-//! `AWS_ACCESS_KEY_ID` and so on); `data.store` overrides the endpoint. Every request is retried
-//! here with its body, so that a cut connection is a retry like any other.
+//! `AWS_ACCESS_KEY_ID` and so on); `data.store` overrides the endpoint. This module retries each
+//! request and its body, so a cut connection is retried like any other failure.
 
 use std::path::PathBuf;
 use std::sync::{Arc, Once};
@@ -25,7 +25,7 @@ const FIRST_PAUSE: Duration = Duration::from_millis(100);
 /// Longest pause.
 const LONGEST_PAUSE: Duration = Duration::from_secs(20);
 
-/// A bucket with its prefix, or a web server with its path.
+/// A bucket and a prefix, or a web server and a path.
 #[derive(Debug)]
 pub(super) struct Remote {
     uri: String,
@@ -50,7 +50,7 @@ impl Remote {
     ) -> Result<Self, Error> {
         static PROVIDER: Once = Once::new();
         PROVIDER.call_once(|| {
-            // An error means that the program has chosen one already.
+            // An error means that the program has already chosen a provider.
             let _ = rustls::crypto::ring::default_provider().install_default();
         });
         let unusable = |reason: String| Error::Store(failed(&uri, "open", 1, reason));
@@ -87,7 +87,7 @@ impl Remote {
         Err(StoreError::ReadOnly(self.uri.clone()))
     }
 
-    /// Name of `path` in messages, and its key in the bucket.
+    /// Name of `path` in messages, and key of `path` in the bucket.
     fn key(&self, path: &str) -> Result<(String, Path), StoreError> {
         check_path(path)?;
         let object = format!("{}/{path}", self.uri);
@@ -102,7 +102,8 @@ impl Remote {
         Ok((object, key))
     }
 
-    /// Runs `request` until it succeeds, fails for good, or has been retried often enough.
+    /// Runs `request` until it succeeds, fails permanently or exceeds the maximum number of
+    /// retries.
     fn try_often<T, F>(
         &self,
         object: &str,
@@ -229,7 +230,7 @@ impl Backend for Remote {
     }
 }
 
-/// True if `path` is `FOLDER/ANY/FILE` or, without a file, `FOLDER/NAME`, and not hidden.
+/// True if `path` is a visible `FOLDER/ANY/FILE` or, without a file, `FOLDER/NAME`.
 fn is_listed(path: &str, folder: &str, file: Option<&str>) -> bool {
     let rest = path
         .strip_prefix(folder)
@@ -241,13 +242,13 @@ fn is_listed(path: &str, folder: &str, file: Option<&str>) -> bool {
     name.is_some_and(|name| !name.contains('/') && !name.starts_with('.'))
 }
 
-/// A factor from 0.75 to 1.25, so that clients do not retry at the same time.
+/// A factor from 0.75 to 1.25 that spreads the retries of several clients.
 fn jitter() -> f64 {
     let now = UNIX_EPOCH.elapsed();
     0.75 + 0.5 * f64::from(now.unwrap_or_default().subsec_nanos() % 1000) / 1000.0
 }
 
-/// Version of an object. Listings and responses quote tags differently.
+/// Version of an object, without the quotes of the tag, which vary between responses.
 fn version(meta: &ObjectMeta) -> String {
     match &meta.e_tag {
         Some(tag) => format!("{} {}", meta.size, tag.trim_matches('"')),
@@ -259,11 +260,11 @@ fn version(meta: &ObjectMeta) -> String {
 enum Failure {
     Request(object_store::Error),
     CutOff(String),
-    /// Retrying would not help.
+    /// The error is permanent.
     Final(StoreError),
 }
 
-/// The final error. Failing metadata services of machines mean missing credentials.
+/// The permanent error. A failing metadata service of a machine means missing credentials.
 fn failed(object: &str, action: &'static str, attempts: usize, reason: String) -> StoreError {
     const SIGNS: [&str; 4] = ["169.254.", "token request", "api/token", "redential"];
     let object = object.to_owned();
@@ -278,7 +279,7 @@ fn failed(object: &str, action: &'static str, attempts: usize, reason: String) -
     }
 }
 
-/// True if a server has rejected the request: 4xx, except those that ask to wait.
+/// True if a server rejected the request: status 4xx, except statuses that ask the client to wait.
 fn is_refused(reason: &str) -> bool {
     let Some((_, status)) = reason.split_once("status code: ") else {
         // Responses without a length cannot be checked for completeness.
@@ -288,7 +289,7 @@ fn is_refused(reason: &str) -> bool {
     status.starts_with('4') && !patience.iter().any(|known| status.starts_with(known))
 }
 
-/// The error, if retrying would not help.
+/// The error, if it is permanent.
 fn final_error(
     error: &object_store::Error,
     object: &str,

@@ -11,7 +11,7 @@ use object_store::{ClientOptions, ObjectStore, RetryConfig, StaticCredentialProv
 use crate::StoreConfig;
 use crate::location::Service;
 
-/// The `bucket`, with credentials of the environment, or the web server at `uri`.
+/// The `bucket`, with credentials from the environment, or the web server at `uri`.
 pub(super) fn open(
     service: Service,
     uri: &str,
@@ -25,7 +25,7 @@ pub(super) fn open(
     }
 }
 
-/// Buckets are written by Google's XML interface, which some emulators lack.
+/// Writes to buckets use Google's XML API, which some emulators lack.
 fn gcs(bucket: &str, config: &StoreConfig) -> object_store::Result<Box<dyn ObjectStore>> {
     let mut builder = GoogleCloudStorageBuilder::from_env()
         .with_bucket_name(bucket)
@@ -37,7 +37,7 @@ fn gcs(bucket: &str, config: &StoreConfig) -> object_store::Result<Box<dyn Objec
         builder = builder.with_base_url(endpoint.trim_end_matches('/'));
     }
     if config.anonymous || (emulator.is_some() && config.endpoint.is_none()) {
-        // Writing needs credentials, so these are empty.
+        // Writing requires credentials, so empty credentials are set.
         let credential = GcpCredential {
             bearer: String::new(),
         };
@@ -48,7 +48,7 @@ fn gcs(bucket: &str, config: &StoreConfig) -> object_store::Result<Box<dyn Objec
     Ok(Box::new(builder.build()?))
 }
 
-/// The emulator in the environment, as for Google's libraries.
+/// The emulator from the environment variable of Google's libraries.
 fn emulator() -> Option<String> {
     let host = std::env::var("STORAGE_EMULATOR_HOST").ok();
     let host = host.filter(|host| !host.is_empty())?;
@@ -90,7 +90,7 @@ fn client_options(config: &StoreConfig) -> ClientOptions {
         .with_timeout_disabled()
 }
 
-/// All attempts are counted here, not in `object_store`.
+/// This crate counts all attempts, not `object_store`.
 fn no_retries() -> RetryConfig {
     RetryConfig {
         max_retries: 0,

@@ -1,4 +1,4 @@
-//! The motion of a synthetic phrase: four moves that follow its music.
+//! The motion of a synthetic phrase: four moves in time with the music.
 
 use std::f64::consts::{PI, TAU};
 
@@ -11,7 +11,7 @@ use super::style;
 /// Stream below a phrase's key.
 const DANCER: u64 = 3;
 
-/// Position and rotation of the body in its own frame, metres and radians.
+/// Position and rotation of the body in its own frame, meters and radians.
 #[derive(Clone, Copy, Default)]
 struct Pose {
     /// Right, up, forward.
@@ -23,7 +23,8 @@ struct Pose {
     roll: f64,
 }
 
-/// Move `kind` at a beat: sway, step to and fro, walk a circle, bounce; at its origin at bar lines.
+/// Pose of move `kind` at a beat: sway, step to and fro, circle or bounce. At bar lines the pose is
+/// at its origin.
 fn pose(kind: usize, beat: f64) -> Pose {
     let (bar, half, whole) = (0.5 * PI * beat, PI * beat, TAU * beat);
     match kind {
@@ -58,7 +59,7 @@ fn pose(kind: usize, beat: f64) -> Pose {
     }
 }
 
-/// The dance to `music`, `frames` frames, at x = z = 0 in the first one.
+/// The dance to `music`, `frames` frames long. The first frame is at x = z = 0.
 pub fn perform(music: &Music, phrase: Key, frames: usize) -> Phrase {
     assert!(frames > 0, "a phrase has at least one frame");
     let samples = phrase.at(DANCER).normals(4);
@@ -67,7 +68,7 @@ pub fn perform(music: &Music, phrase: Key, frames: usize) -> Phrase {
     let height = 0.95 + 0.03 * height.clamp(-3.0, 3.0);
     let facing = Quaternion::from_yaw(heading);
 
-    // Two more frames, because the last frames have no forward differences.
+    // The last frames need two more frames for their forward differences.
     let posed = frames + 2;
     let mut positions = Vec::with_capacity(posed);
     let mut quaternions = Vec::with_capacity(posed);
@@ -77,7 +78,7 @@ pub fn perform(music: &Music, phrase: Key, frames: usize) -> Phrase {
         let size = music.energy(beat);
         let pose = blended(music.moves(beat), beat);
         let [right, up, forward] = pose.offset.map(|metres| size * metres);
-        // A slow drift, independent of the music.
+        // The drift is slow and independent of the music.
         let slow = (TAU * 0.1 * t as f64 / FPS).sin();
         let [x, y, z] = facing.rotate([right, up, forward]);
         positions.push([

@@ -1,9 +1,9 @@
 //! Synthetic phrases: dances that follow a beat, with matching audio features.
 //!
-//! A phrase has a tempo, a position in the bar, an energy and one of four moves for each bar, all
-//! of which are present in its [features](music) and its [motion](dance), so that a small model
-//! gains from audio. Motion is smooth, of human scale and coherent by construction. All is a
-//! function of seed and index.
+//! A phrase has a tempo, a position in the bar, an energy, and one of four moves for each bar. Both
+//! the [features](music) and the [motion](dance) show these properties, so a small model gains from
+//! audio. Motion is smooth, of human scale and coherent by construction. Seed and index determine
+//! everything.
 
 mod dance;
 mod music;
@@ -27,8 +27,8 @@ pub fn id(index: usize) -> String {
     format!("synthetic_{index:05}")
 }
 
-/// Phrase number `index` of this `seed`, `frames` frames at 30 per second. Panics if `frames` is
-/// zero.
+/// Phrase number `index` of this `seed`: `frames` frames at 30 frames per second. Panics if
+/// `frames` is zero.
 pub fn phrase(index: usize, frames: usize, seed: u64) -> PhraseItem {
     phrase_in(AudioLayout::CCMOTION, index, frames, seed)
 }
@@ -49,7 +49,7 @@ pub fn phrase_in(layout: AudioLayout, index: usize, frames: usize, seed: u64) ->
     }
 }
 
-/// The first `phrases` phrases of this `seed`, made in parallel. Panics if `frames` is zero.
+/// The first `phrases` phrases of this `seed`, created in parallel. Panics if `frames` is zero.
 pub fn phrases(phrases: usize, frames: usize, seed: u64) -> Vec<Arc<PhraseItem>> {
     (0..phrases)
         .into_par_iter()
@@ -57,8 +57,8 @@ pub fn phrases(phrases: usize, frames: usize, seed: u64) -> Vec<Arc<PhraseItem>>
         .collect()
 }
 
-/// Writes a synthetic dataset into `folder` in the phrase layout (CC-MotionGen, section 1.3), with
-/// audio features in `layout`, atomically. Fails with [`Error::Config`] for sizes out of range,
+/// Atomically writes a synthetic dataset into `folder` in the phrase layout (CC-MotionGen, section
+/// 1.3), with audio features in `layout`. Fails with [`Error::Config`] for sizes out of range,
 /// [`Error::Exists`] if `folder` contains a dataset, [`Error::Io`].
 pub fn write_dataset(
     folder: &Path,
@@ -82,9 +82,9 @@ pub fn write_dataset(
     })
 }
 
-/// Writes the `parts` of a dataset into `folder`: `fill` makes them in a temporary folder inside,
-/// and they are moved when complete. Fails with [`Error::Exists`] if a part exists, [`Error::Io`],
-/// and those of `fill`.
+/// Writes the `parts` of a dataset into `folder`: `fill` writes them to a temporary folder inside,
+/// and complete parts are moved. Fails with [`Error::Exists`] if a part exists, [`Error::Io`], and
+/// the errors of `fill`.
 pub(crate) fn write_whole(
     folder: &Path,
     parts: &[&str],
@@ -156,7 +156,8 @@ mod tests {
                     }
                 }
             }
-            // The last frame looks forward too: it does not stand still for want of a next one.
+            // The forward differences of the last frame use a further frame, so the last frame does
+            // not stand still.
             let jerk = derivatives::jerk(&motion);
             assert!(jerk[118].iter().map(|value| value.powi(2)).sum::<f64>() < 1000f64.powi(2));
             assert!(motion.vector(119, ACCELERATION) != motion.vector(118, ACCELERATION));
@@ -171,7 +172,7 @@ mod tests {
             assert_eq!((x, z), (0.0, 0.0));
             let phase: Vec<f32> = (0..240).map(|t| motion.frame(t)[PHASE]).collect();
             let wraps = phase.windows(2).filter(|pair| pair[1] < pair[0]).count();
-            // 8 seconds of 84 to 132 beats a minute.
+            // The phrase has 8 seconds at 84 to 132 beats per minute.
             assert!((2..=5).contains(&wraps), "{wraps}");
             let quaternion = &motion.frame(0)[QUATERNION];
             assert!(quaternion[0] > 0.0);

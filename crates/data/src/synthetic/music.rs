@@ -33,7 +33,7 @@ const ONSET: usize = 162;
 /// The chord of each move, as pitch classes.
 const CHORDS: [[usize; 3]; MOVES] = [[0, 4, 7], [5, 9, 0], [7, 11, 2], [9, 0, 4]];
 
-/// A score, from which features are made.
+/// A score, from which features are computed.
 #[derive(Clone, Debug)]
 pub struct Music {
     beats_per_second: f64,
@@ -58,27 +58,27 @@ impl Music {
         }
     }
 
-    /// Beats played at frame `t`; a multiple of four begins a bar.
+    /// Number of beats before frame `t`; a multiple of four begins a bar.
     pub fn beat(&self, t: usize) -> f64 {
         self.first_beat + t as f64 / FPS * self.beats_per_second
     }
 
-    /// The beats of `frames` frames, in bars.
+    /// The beats and bars of `frames` frames.
     pub fn pulse(&self, frames: usize) -> Option<Pulse> {
         let moment = |beat: f64| (beat - self.first_beat) / self.beats_per_second;
         let last = self.beat(frames).ceil() as usize;
-        // From beat 0, more than a bar before the first frame.
+        // Beat 0 is more than a bar before the first frame.
         let beats = (0..=last).map(|beat| moment(beat as f64)).collect();
         Some(Pulse::new(beats)?.with_downbeat(BEATS_PER_BAR as u32, moment(0.0)))
     }
 
-    /// Loudness and size of movement around 1, with a period of four bars.
+    /// Loudness and movement size around 1, with a period of four bars.
     pub fn energy(&self, beat: f64) -> f64 {
         self.energy + 0.12 * (TAU * beat / 16.0 + self.swell).sin()
     }
 
-    /// Share of each move. A bar has one move; they blend over the beat at the bar line, with two
-    /// continuous derivatives.
+    /// Share of each move. Each bar has one move; moves blend over the beat at the bar line, with
+    /// two continuous derivatives.
     pub fn moves(&self, beat: f64) -> [f64; MOVES] {
         let line = (beat / BEATS_PER_BAR).round();
         let since_line = beat - BEATS_PER_BAR * line;
@@ -95,7 +95,7 @@ impl Music {
     }
 
     /// The audio features `[163, frames]`: onset peaks on the beats (strongest on the downbeat),
-    /// decaying loudness, a chord, spectrum and brightness for each move, and noise.
+    /// decaying loudness, noise, and a chord, spectrum and brightness for each move.
     pub fn features(&self, frames: usize, phrase: Key) -> AudioFeatures {
         let noise = phrase.at(NOISE).normals(AUDIO_CHANNELS * frames);
         let mut features = AudioFeatures::silence(AudioLayout::CCMOTION, frames);
@@ -152,7 +152,8 @@ impl Music {
     }
 }
 
-/// The first 20 cosine coefficients of the mel bands, each with zero mean and unit deviation.
+/// The MFCCs: the first 20 cosine coefficients of the mel bands, each with zero mean and unit
+/// deviation.
 fn fill_mfcc(features: &mut AudioFeatures) {
     let frames = features.frames();
     for coefficient in 0..RMS - MFCC {

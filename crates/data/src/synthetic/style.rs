@@ -1,19 +1,19 @@
 //! Eight style dimensions of a motion, in the four pairs of CC-MotionGen, section 2.5: intensity,
-//! spatial extent, rhythmic feel, body attitude.
+//! spatial extent, rhythmic feel and body attitude.
 
 use kinegrad_motion::derivatives::{angular_velocity, forward_differences};
 use kinegrad_motion::quantiles::median;
 use kinegrad_motion::vector::length;
 use kinegrad_motion::{FPS, Quaternion};
 
-/// Frames on each side of a window of one second, and of two seconds.
+/// Frames on each side of a window: for one second, and for two seconds.
 const NEAR: usize = 15;
 const WIDE: usize = 30;
 
-/// Style of every frame, `[frames, 8]`, over centred windows cut at the ends: mean speed (m/s),
-/// mean acceleration / 10, extent on the floor and range of height over two seconds (m), burstiness
-/// (deviation of the floor speed over its mean + 0.1), mean yaw rate / 3, five times the mean
-/// height above the median (m), mean tilt (rad).
+/// Style of every frame, `[frames, 8]`, over centered windows cut at the ends. The dimensions are
+/// mean speed (m/s), mean acceleration / 10, extent on the floor and range of height over two
+/// seconds (m), burstiness (deviation of the floor speed over its mean + 0.1), mean yaw rate / 3,
+/// five times the mean height above the median (m), mean tilt (rad).
 pub fn describe(positions: &[[f64; 3]], quaternions: &[Quaternion]) -> Vec<[f64; 8]> {
     let frames = positions.len();
     let velocity = forward_differences(positions, FPS);
