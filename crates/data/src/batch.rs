@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use kinegrad_motion::Statistics;
 
-/// Name of the condition on audio features, `[163, frames]`.
+/// Name of the condition on audio features, `[163, frames]`, or 170 with beats.
 pub const AUDIO: &str = "audio";
 
 /// Name of the text condition, a pooled text feature `[512, 1]`.
