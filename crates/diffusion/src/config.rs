@@ -64,28 +64,28 @@ pub struct DiffusionConfig {
     pub beta_start: f64,
     /// Last beta of `linear` and `sqrt`; `cosine` does not use it.
     pub beta_end: f64,
-    /// Floor of the betas of `cosine`. The source uses 1e-4, others 0.
+    /// Smallest beta of `cosine`. The source uses 1e-4, other programs use 0.
     pub beta_min: f64,
-    /// Cap of the betas of `cosine`. The source has 0.9999; others have 0.999.
+    /// Largest beta of `cosine`. The source uses 0.9999, other programs use 0.999.
     pub beta_max: f64,
     /// The quantity that the network predicts.
     pub prediction_type: PredictionType,
     /// The distance between the prediction and its target.
     pub loss_type: LossType,
-    /// Cap of the signal-to-noise ratio in the min-SNR loss weights (Hang et al. 2023,
-    /// <https://arxiv.org/abs/2303.09556>, who use 5); without it every timestep weighs the same.
+    /// Largest signal-to-noise ratio in the min-SNR loss weights (Hang et al. 2023,
+    /// <https://arxiv.org/abs/2303.09556>, use 5). If not set, all timesteps have the same weight.
     pub snr_gamma: Option<f64>,
     /// Rescales the schedule so that the last timestep is pure noise (Lin et al. 2023,
-    /// <https://arxiv.org/abs/2305.08891>, algorithm 1). Not with `epsilon` prediction. Sample
-    /// with `trailing` or `linspace` spacing then: `leading` never visits the last timestep.
+    /// <https://arxiv.org/abs/2305.08891>, algorithm 1). `epsilon` prediction does not support
+    /// this. Sampling needs `trailing` or `linspace` spacing, because `leading` never visits the
+    /// last timestep.
     pub rescale_betas_zero_snr: bool,
     /// Probability of replacing the condition by the null condition in training, for
     /// classifier-free guidance (Ho and Salimans 2022, <https://arxiv.org/abs/2207.12598>).
     pub cond_drop_prob: f64,
-    /// Probability of replacing the style by the null style in training, apart from the other
-    /// conditions, for networks with a style (`model.style`). Of a style of both numbers and label,
-    /// the numbers alone and the label alone are replaced as often. If not set, the same as
-    /// `cond_drop_prob`.
+    /// Probability of replacing only the style by the null style in training, for networks with a
+    /// style (`model.style`). If a style has numbers and a label, the numbers alone and the label
+    /// alone are each replaced with this probability too. If not set, the same as `cond_drop_prob`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub style_drop_prob: Option<f64>,
 }
@@ -109,15 +109,16 @@ impl Default for DiffusionConfig {
     }
 }
 
-/// Most timesteps accepted.
+/// Largest number of timesteps.
 const MAX_TRAIN_TIMESTEPS: usize = 1_000_000;
 
-/// Largest probability of dropping the style. Numbers, label and both are dropped with this
-/// probability each, so that some samples keep both.
+/// Largest probability of dropping the style. The numbers, the label, and both together are each
+/// dropped with this probability, so some samples keep both.
 const MAX_STYLE_DROP: f64 = 0.3;
 
-/// Least share of the motion's variance at the last timestep. Below, the factors of the denoising
-/// leave the range of single precision. The source's cosine schedule has 2.4e-10.
+/// Smallest share of the motion's variance at the last timestep. With a smaller share, the factors
+/// of denoising exceed the range of single precision. The share of the source's cosine schedule is
+/// 2.4e-10.
 const MIN_SIGNAL: f64 = 1e-30;
 
 impl DiffusionConfig {
@@ -209,11 +210,11 @@ fn linspace(start: f64, end: f64, n: usize) -> Vec<f64> {
     values
 }
 
-/// Offset of the cosine schedule, so that the first betas do not vanish.
+/// Offset of the cosine schedule that keeps the first betas above 0.
 const COSINE_OFFSET: f64 = 0.008;
 
-/// `1 - cos^2(b) / cos^2(a)` with `a`, `b` the angles of t and t+1, as the sources compute it. The
-/// smallest beta loses 5 of its 16 digits; a more precise form would not match published ones.
+/// `1 - cos^2(b) / cos^2(a)` with `a`, `b` the angles of t and t+1, as in the sources. The smallest
+/// beta loses 5 of its 16 digits; a more precise formula would not match the published betas.
 fn cosine_beta(t: usize, steps: usize) -> f64 {
     let cumulative = |t: usize| {
         let angle = (t as f64 / steps as f64 + COSINE_OFFSET) / (1.0 + COSINE_OFFSET) * FRAC_PI_2;

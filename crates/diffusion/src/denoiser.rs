@@ -20,14 +20,14 @@ pub trait Denoiser {
     /// The null condition of training, in the shape of `cond`.
     fn null_cond(&self, cond: &Self::Cond) -> Self::Cond;
 
-    /// `cond` without its style, if the style has its own guidance scale. The null condition has no
-    /// style either.
+    /// `cond` without its style, for networks whose style can have its own guidance scale. The null
+    /// condition has no style either.
     fn null_style(&self, _cond: &Self::Cond) -> Option<Self::Cond> {
         None
     }
 }
 
-/// Guidance scales of the conditions; 1 is as trained.
+/// Guidance scales of the conditions; 1 disables guidance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GuidanceScales {
     /// Scale of the condition without its style.
@@ -37,7 +37,7 @@ pub struct GuidanceScales {
 }
 
 impl GuidanceScales {
-    /// Scales of the condition and of the style, by default the same.
+    /// Scales of the condition and of the style; `None` uses `cond` for the style.
     pub fn new(cond: f64, style: Option<f64>) -> Self {
         Self {
             cond,
@@ -45,7 +45,7 @@ impl GuidanceScales {
         }
     }
 
-    /// Most calls of the network for one prediction.
+    /// Maximum number of network calls for one prediction.
     pub fn calls(&self) -> u64 {
         match (self.cond == self.style, self.cond == 1.0) {
             (true, true) => 1,
@@ -66,15 +66,15 @@ impl From<f64> for GuidanceScales {
 /// section 1.9; Ho and Salimans 2022, <https://arxiv.org/abs/2207.12598>, equation 6):
 /// `uncond + guidance_scale (cond - uncond)`.
 ///
-/// A scale of 1 is the conditional, a scale of 0 the unconditional prediction. Both call the
-/// network once, other scales twice.
+/// A scale of 1 is the conditional prediction, a scale of 0 the unconditional one. Scales of 0 and
+/// 1 call the network once, other scales twice.
 ///
-/// The outputs are combined before any conversion. This gives the same result for every prediction
+/// The outputs are combined before any conversion. The result is the same for every prediction
 /// type: for a fixed `x_t`, noise, clean motion and velocity are affine in each other, and the
 /// factors `1 - scale` and `scale` add up to 1. Clipping must follow the guidance.
 ///
-/// If the style has another scale, the two are composed as in InstructPix2Pix (Brooks et al. 2023,
-/// <https://arxiv.org/abs/2211.09800>, equation 3); equal scales are the case above:
+/// If the style has a different scale, condition and style are composed as in InstructPix2Pix
+/// (Brooks et al. 2023, <https://arxiv.org/abs/2211.09800>, equation 3):
 ///
 /// ```text
 /// uncond + scales.cond (unstyled - uncond) + scales.style (cond - unstyled)
@@ -171,7 +171,7 @@ mod tests {
 
         fn predict(&self, x_t: Tensor<3>, _: &[Time], cond: &Self::Cond) -> Tensor<3> {
             self.0.set(self.0.get() + 1);
-            // The effect of the style depends on the audio, so that the order of the terms matters.
+            // The effect of the style depends on the audio, so the order of the terms matters.
             let (audio, style) = (cond.0, cond.1.unwrap_or(0.0));
             x_t * 0.0 + (audio + 10.0 * style + audio * style)
         }
@@ -187,7 +187,7 @@ mod tests {
 
     #[test]
     fn conditions_with_scales_of_their_own_are_composed() {
-        // uncond 0, audio alone 2, audio and style 2 + 30 + 6 = 38.
+        // The predictions are 0 (null), 2 (audio) and 2 + 30 + 6 = 38 (audio and style).
         let cond = (2.0, Some(3.0));
         for (scales, expected, calls) in [
             ((1.0, Some(2.0)), 2.0 + 2.0 * 36.0, 2),
@@ -209,7 +209,7 @@ mod tests {
             assert_eq!(network.0.get(), calls, "calls at {scales:?}");
             assert!(calls as u64 <= scales.calls());
         }
-        // A condition without style is guided by its own scale alone.
+        // A condition without style uses only the condition's scale.
         let network = Styled(Cell::new(0));
         let scales = GuidanceScales::new(3.0, Some(7.0));
         let found = guided(&network, ones(), &[Time(7.0)], &(2.0, None), scales);

@@ -19,7 +19,7 @@ pub enum Error {
     ModelOutput {
         /// Sizes of the network's output.
         found: Vec<usize>,
-        /// Sizes of its input.
+        /// Sizes of the network's input.
         expected: Vec<usize>,
     },
     /// The adaptive solver cannot meet its tolerance.
@@ -33,7 +33,7 @@ pub enum Error {
         /// Start of the step, from 0 to 1.
         at: f64,
     },
-    /// The adaptive solver found numbers that are not finite.
+    /// The adaptive solver computed values that are not finite.
     #[error("the velocity of the flow is not finite")]
     #[diagnostic(help("lower the guidance, or check the model's validation loss"))]
     NotFinite,

@@ -8,14 +8,14 @@
 //!                           rollout (gradients)        /
 //! ```
 //!
-//! [`flow`] is the other process: a straight path from noise to data, with solvers along its
-//! velocity and the same [`Denoiser`]s and guidance.
+//! [`flow`] is a process with a straight path from noise to data. Its solvers follow the path's
+//! velocity and use the same [`Denoiser`]s and guidance.
 //!
 //! A network implements [`Denoiser`]; the crate does not depend on the meaning of channels. Noise
 //! is an argument or comes from a [`kinegrad_random::Key`].
 //!
-//! Timesteps are host integers `0..num_train_timesteps`, 0 being the least noisy: the convention of
-//! the source's code (CC-MotionGen, section 5.3; docs/sources.md, section 1.2), whose formulas
+//! Timesteps are host integers `0..num_train_timesteps`; 0 is the least noisy. The source's code
+//! does the same (CC-MotionGen, section 5.3; docs/sources.md, section 1.2); the source's formulas
 //! count from 1.
 //!
 //! Symbols of the papers:

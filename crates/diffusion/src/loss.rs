@@ -7,8 +7,8 @@
 //! huber  d^2 / 2 where |d| <= 1, else |d| - 1/2
 //! ```
 //!
-//! Source: CC-MotionGen, sections 3.2.1 and 5.3, which do not state the huber threshold
-//! (docs/sources.md, section 1.4).
+//! Source: CC-MotionGen, sections 3.2.1 and 5.3 (docs/sources.md, section 1.4). The source does not
+//! state the huber threshold.
 
 use burn::tensor::Tensor;
 
@@ -35,11 +35,12 @@ pub fn elementwise(model_output: Tensor<3>, target: Tensor<3>, loss_type: LossTy
 
 /// The mean distance over the valid elements: `sum(weight mask distance) / (channels sum(mask))`.
 ///
-/// Without a mask every element is valid. The weights scale the sum and not the count, as in
-/// min-SNR weighting. A batch without valid elements has loss 0.
+/// Without a mask all elements are valid. As in min-SNR weighting, the weights scale the sum but
+/// not the count. A batch without valid elements has loss 0.
 ///
-/// The sums run over time, then channels, then the batch. A plain sum of 4,194,304 or more elements
-/// depends on thread scheduling on Burn's CPU backend; a resumed run would not repeat it.
+/// The sums run over time, then channels, then the batch. On Burn's CPU backend a plain sum of
+/// 4,194,304 or more elements depends on thread scheduling, so a resumed run would not repeat the
+/// sum.
 ///
 /// # Shapes
 /// - model_output, target: `[batch, channels, time]`
@@ -48,7 +49,7 @@ pub fn elementwise(model_output: Tensor<3>, target: Tensor<3>, loss_type: LossTy
 /// - output: `[1]`
 ///
 /// # Panics
-/// Panics if there is not one weight per sample, or if the sizes of the tensors differ.
+/// Panics unless there is one weight per sample and the sizes of the tensors agree.
 pub fn diffusion_loss(
     model_output: Tensor<3>,
     target: Tensor<3>,
@@ -193,7 +194,7 @@ mod tests {
         assert_eq!(value(loss), 0.0);
     }
 
-    /// Above 4,194,304 elements, where Flex's own `sum` is not repeatable.
+    /// Flex's own `sum` is not repeatable above 4,194,304 elements.
     #[test]
     fn a_large_loss_is_repeated_bit_for_bit() {
         let device = Device::flex();
@@ -227,7 +228,7 @@ mod tests {
             prop_assert!((padded / expected - 1.0).abs() < 2e-6, "{padded} {expected}");
         }
 
-        /// Each sample counts by its valid frames and its weight.
+        /// A sample's share of the loss depends on its valid frames and its weight.
         #[test]
         fn masks_and_weights_add_up_over_the_samples(
             seed: u64,

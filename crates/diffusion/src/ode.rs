@@ -1,5 +1,5 @@
-//! Explicit Runge-Kutta methods for `dx / dt = f(x, t)` by their Butcher tableaus, shared by flows
-//! and Heun's sampler of a diffusion process.
+//! Explicit Runge-Kutta methods for `dx / dt = f(x, t)`, given by their Butcher tableaus. Flows and
+//! the diffusion sampler `heun` use these methods.
 
 use burn::tensor::Tensor;
 
@@ -10,7 +10,7 @@ pub(crate) trait Ode<const D: usize> {
     /// A slope, with the data for [`moved`](Self::moved).
     type Slope;
 
-    /// `f(x, t)` at `place` of the step, from 0, its start, to 1, its end.
+    /// `f(x, t)` at `place` of the step: 0 is the start, 1 the end.
     fn slope(&mut self, x: Tensor<D>, place: f64) -> Result<Self::Slope, Error>;
 
     /// `x + h sum(shares * slopes)`, with h the size of the step.
@@ -19,7 +19,7 @@ pub(crate) trait Ode<const D: usize> {
 
 /// A method of integration.
 pub(crate) struct Method {
-    /// Place of each slope but the first, and the shares of the previous slopes that lead there.
+    /// For each slope after the first: its place, and the shares of the previous slopes.
     stages: &'static [(f64, &'static [f64])],
     /// Shares of the slopes in the step.
     shares: &'static [f64],
@@ -32,20 +32,20 @@ impl Method {
         shares: &[1.0],
     };
 
-    /// Order 2: along the slope at the middle of Euler's step.
+    /// Order 2, with the slope at the middle of Euler's step.
     pub const MIDPOINT: Self = Self {
         stages: &[(0.5, &[0.5])],
         shares: &[0.0, 1.0],
     };
 
-    /// Order 2: along the mean of the slopes at both ends of Euler's step.
+    /// Order 2, with the mean of the slopes at both ends of Euler's step.
     pub const HEUN: Self = Self {
         stages: &[(1.0, &[1.0])],
         shares: &[0.5, 0.5],
     };
 
-    /// Order 5, of Dormand and Prince (Hairer, Nørsett and Wanner, "Solving Ordinary Differential
-    /// Equations I", 1993, section II.5).
+    /// The method of order 5 of Dormand and Prince (Hairer, Nørsett and Wanner, "Solving Ordinary
+    /// Differential Equations I", 1993, section II.5).
     pub const DOPRI5: Self = Self {
         stages: &[
             (1.0 / 5.0, &[1.0 / 5.0]),
@@ -81,8 +81,8 @@ impl Method {
         ],
     };
 
-    /// Shares of the slopes of [`Self::DOPRI5`], and of the slope at its end, in the difference
-    /// from a solution of order 4.
+    /// Shares of the slopes of [`Self::DOPRI5`], and of the end's slope, in the difference from a
+    /// solution of order 4.
     pub const DOPRI5_ERROR: [f64; 7] = [
         71.0 / 57600.0,
         0.0,
@@ -108,7 +108,7 @@ impl Method {
         Ok(self.step_along(ode, x, first)?.0)
     }
 
-    /// The end of a step whose `first` slope is known, and all its slopes.
+    /// The end of a step with a known `first` slope, and all slopes.
     pub fn step_along<O: Ode<D>, const D: usize>(
         &self,
         ode: &mut O,

@@ -19,7 +19,7 @@ use crate::{DiffusionConfig, NoiseSchedule, PredictionType};
 /// ```
 ///
 /// # Panics
-/// Every method panics if there is not one timestep per sample, or if one is not below
+/// Every method panics unless there is one timestep per sample and all timesteps are below
 /// `num_train_timesteps`.
 #[derive(Clone, Debug)]
 pub struct GaussianDiffusion {
@@ -71,7 +71,7 @@ impl GaussianDiffusion {
         }
     }
 
-    /// The clean motion of a model output, not clipped.
+    /// The unclipped clean motion of a model output.
     ///
     /// # Shapes
     /// - model_output, x_t, output: `[batch, channels, time]`
@@ -85,10 +85,10 @@ impl GaussianDiffusion {
         self.convert(model_output, x_t, timesteps, from, PredictionType::Sample)
     }
 
-    /// Converts a prediction of one type to another, for the same `x_t`: an affine map.
+    /// Converts a prediction from one type to another for the same `x_t`, by an affine map.
     ///
-    /// At a terminal timestep of pure noise (`rescale_betas_zero_snr`) predicted noise does not
-    /// determine the motion; the result is not finite.
+    /// If the last timestep is pure noise (`rescale_betas_zero_snr`), predicted noise does not
+    /// determine the motion there and the result is not finite.
     ///
     /// # Shapes
     /// - prediction, x_t, output: `[batch, channels, time]`
@@ -115,8 +115,8 @@ impl GaussianDiffusion {
         }
     }
 
-    /// Mean and variance of `q(x_{t-1} | x_t, x_start)` (section 3.2.4; Ho et al. 2020,
-    /// equation 7): `mean = coef1 x_start + coef2 x_t`. The variance of each sample is 0 at t = 0.
+    /// Mean and variance of `q(x_{t-1} | x_t, x_start)` (section 3.2.4; Ho et al. 2020, equation
+    /// 7): `mean = coef1 x_start + coef2 x_t`. The variance is 0 at t = 0.
     ///
     /// # Shapes
     /// - x_start, x_t, mean: `[batch, channels, time]`
@@ -134,15 +134,15 @@ impl GaussianDiffusion {
         (x_start * coef1 + x_t * coef2, variance)
     }
 
-    /// The weight of each sample in the loss: 1 without `config.snr_gamma`, else the min-SNR
-    /// weight of its timestep (Hang et al. 2023, <https://arxiv.org/abs/2303.09556>, section
-    /// 3.4), with `c = min(snr, snr_gamma)`:
+    /// The loss weight of each sample. The weight is 1 without `config.snr_gamma`, and otherwise
+    /// the min-SNR weight of the sample's timestep (Hang et al. 2023,
+    /// <https://arxiv.org/abs/2303.09556>, section 3.4), with `c = min(snr, snr_gamma)`:
     ///
     /// ```text
     /// epsilon  c / snr        sample  c        v_prediction  c / (snr + 1)
     /// ```
     ///
-    /// The three weigh the error of the clean motion alike.
+    /// All three formulas give the error of the clean motion the same weight.
     pub fn loss_weights(&self, timesteps: &[usize]) -> Vec<f64> {
         let Some(snr_gamma) = self.config.snr_gamma else {
             return vec![1.0; timesteps.len()];
@@ -222,7 +222,7 @@ mod tests {
                 let x = process.pred_original_sample(target.clone(), x_t.clone(), &timesteps);
                 let (from, to) = (prediction_type, PredictionType::Epsilon);
                 let epsilon = process.convert(target, x_t, &timesteps, from, to);
-                // Rounding grows by 1/a, at most 157, or by 1/s, at most 100.
+                // Rounding errors grow by 1/a (at most 157) or by 1/s (at most 100).
                 let (x, epsilon) =
                     (largest(x - x_start.clone()), largest(epsilon - noise.clone()));
                 prop_assert!(x < 2e-4, "{prediction_type:?}: {x}");
@@ -271,7 +271,8 @@ mod tests {
         assert_eq!(sample[0], 5.0);
         assert_eq!(epsilon[3], 1.0);
         for (i, &t) in timesteps.iter().enumerate() {
-            // The squared error of the noise is snr, that of v is snr + 1, times the motion's.
+            // The squared error of the noise is snr times the motion's squared error; that of v is
+            // snr + 1 times.
             let snr = schedule.snr(t);
             assert!((epsilon[i] * snr - sample[i]).abs() < 1e-12);
             assert!((v[i] * (snr + 1.0) - sample[i]).abs() < 1e-12);

@@ -1,13 +1,12 @@
-//! A differentiable sampler, with gradients from the motion back to the start noise and the network
+//! A differentiable sampler: gradients flow from the motion to the start noise and the network
 //! (CC-MotionGen, section 7.3; docs/sources.md, section 1.8).
 //!
 //! A rollout is deterministic DDIM over K timesteps during training. [`RolloutMode`] trades memory
 //! for compute.
 //!
 //! With the cosine schedule a naive rollout is unstable: at t = 999 of 1000 a noise prediction is
-//! multiplied by 1/sqrt(abar) = 64179. To stabilise it, predict the clean motion, clip it
-//! ([`ClipRange::StraightThrough`]), start from a lower timestep, or decay the gradient
-//! (`gradient_decay`).
+//! multiplied by 1/sqrt(abar) = 64179. Remedies are prediction of the clean motion, clipping
+//! ([`ClipRange::StraightThrough`]), a lower start timestep, and `gradient_decay`.
 
 use std::ops::ControlFlow;
 
@@ -26,10 +25,10 @@ pub enum RolloutMode {
     /// One graph over all steps.
     Full,
     /// The K + 1 states. [`Trace::backward`] recomputes each step with its own graph and chains the
-    /// vector-Jacobian products: the gradients of `Full` in the memory of one step, for one more
-    /// forward pass.
+    /// vector-Jacobian products. The gradients equal those of `Full`; memory is that of one step,
+    /// for one more forward pass.
     Checkpointed,
-    /// A graph over the last k steps alone (DRaFT-K, Clark et al. 2024,
+    /// A graph over only the last k steps (DRaFT-K, Clark et al. 2024,
     /// <https://arxiv.org/abs/2309.17400>, section 4.1).
     LastK(usize),
 }
@@ -41,9 +40,9 @@ pub struct Rollout {
     pub diffusion: GaussianDiffusion,
     /// Bounds of the predicted clean motion.
     pub clip: ClipRange,
-    /// Weights of the conditions: 1 as trained ([`guided`]).
+    /// Guidance scales of the conditions ([`guided`]); 1 disables guidance.
     pub guidance: GuidanceScales,
-    /// Factor of the gradient from step to step; 1 is exact.
+    /// Factor of the gradient per step; 1 is the exact gradient.
     pub gradient_decay: f64,
 }
 
@@ -52,7 +51,7 @@ pub struct Rollout {
 pub struct RolloutOutput {
     /// The final state, on the autodiff device: `[batch, channels, time]`.
     pub x: Tensor<3>,
-    /// The state where the graph begins, which gets a gradient: the start noise
+    /// The first state of the graph, which gets a gradient: the start noise
     /// ([`RolloutMode::Full`]), the state before the last k steps, or `x` itself
     /// ([`RolloutMode::Checkpointed`]).
     pub entry: Tensor<3>,
@@ -70,8 +69,8 @@ pub struct Trace {
     strategy: Option<GradientCheckpointingStrategy>,
 }
 
-/// A state that gets a gradient, with the activation checkpointing of the network, because
-/// operations do not mix two settings.
+/// A state that gets a gradient. Its activation checkpointing is the network's, because operations
+/// cannot mix settings.
 fn tracked(state: Tensor<3>, strategy: Option<GradientCheckpointingStrategy>) -> Tensor<3> {
     let state = state.autodiff().require_grad();
     match strategy {
@@ -80,8 +79,8 @@ fn tracked(state: Tensor<3>, strategy: Option<GradientCheckpointingStrategy>) ->
     }
 }
 
-/// The timesteps of a rollout of K = `steps` steps to the clean motion whose sample i begins at
-/// `starts[i]`: `floor(start (K - 1 - k) / (K - 1))` for step k, one list of the batch per step.
+/// The timesteps of a rollout of K = `steps` steps to the clean motion, one list of the batch per
+/// step. Sample i begins at `starts[i]`; step k has timestep `floor(start (K - 1 - k) / (K - 1))`.
 pub fn rollout_timesteps(starts: &[usize], steps: usize) -> Vec<Vec<usize>> {
     let last = steps.saturating_sub(1);
     (0..steps)
@@ -97,11 +96,11 @@ impl Rollout {
     /// `model` without gradients (Burn: `Module::valid`).
     ///
     /// # Shapes
-    /// - x_start_noise: `[batch, channels, time]`, best on the device of `model`; detached
+    /// - x_start_noise: `[batch, channels, time]`, preferably on the device of `model`; detached
     ///
     /// # Errors
-    /// If the clipping bounds do not fit the channels, or the network's output has other sizes
-    /// than its input.
+    /// If the clipping bounds do not fit the channels, or the sizes of the network's output and
+    /// input differ.
     pub fn run<D: Denoiser + ?Sized>(
         &self,
         model: &D,
@@ -138,7 +137,7 @@ impl Rollout {
         };
         let start = x_start_noise.without_autodiff();
         let x = self.walk(&mut predict, start, &path)?;
-        // Without a graph the gradient ends at the final state.
+        // Without a graph, the backward pass ends at the final state.
         let entry = entry.unwrap_or_else(|| tracked(x.clone(), strategy));
         let trace = (mode == RolloutMode::Checkpointed).then(|| Trace {
             states,
@@ -189,12 +188,12 @@ impl Rollout {
 }
 
 impl Trace {
-    /// Continues the backward pass: removes the gradient of the final state from `gradients`, calls
-    /// `each` with the index and gradients of each step, the last step first, and returns the
-    /// gradient of the start noise.
+    /// Continues the backward pass and returns the gradient of the start noise. Removes the
+    /// gradient of the final state from `gradients`. Calls `each` with the index and gradients of
+    /// each step, starting with the last step.
     ///
     /// # Errors
-    /// As [`Rollout::run`].
+    /// The errors of [`Rollout::run`].
     pub fn backward<D: Denoiser + ?Sized>(
         mut self,
         rollout: &Rollout,

@@ -16,7 +16,7 @@ use crate::DiffusionConfig;
 ///          f(u) = cos^2(pi/2 (u + 0.008) / 1.008)
 /// ```
 ///
-/// Values are rounded to single precision once, at their use: computed from a rounded `abar`,
+/// Values are rounded to single precision only when used. If computed from a rounded `abar`,
 /// `sqrt(1 - abar)` would be wrong by up to 1.5e-4 at t = 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NoiseSchedule {
@@ -24,11 +24,11 @@ pub struct NoiseSchedule {
     pub betas: Vec<f64>,
     /// `1 - beta_t`.
     pub alphas: Vec<f64>,
-    /// Cumulative product of `alphas`: the share of the motion's variance at t.
+    /// Cumulative product of `alphas`, the share of the motion's variance at t.
     pub alphas_cumprod: Vec<f64>,
     /// `abar` one timestep earlier; 1 at t = 0.
     pub alphas_cumprod_prev: Vec<f64>,
-    /// `1 - abar`, without the cancellation of that subtraction near t = 0.
+    /// `1 - abar`, computed without cancellation near t = 0.
     pub one_minus_alphas_cumprod: Vec<f64>,
     /// `sqrt(abar)`, the factor of the motion in x_t.
     pub sqrt_alphas_cumprod: Vec<f64>,
@@ -62,10 +62,11 @@ impl NoiseSchedule {
 
     fn from_betas(betas: Vec<f64>) -> Self {
         let steps = betas.len();
-        // Entry t + 1 is that of timestep t.
+        // Entry t + 1 belongs to timestep t.
         let (mut abar, mut rest) = (vec![1.0], vec![0.0]);
         for (t, beta) in betas.iter().enumerate() {
-            // 1 - abar = (1 - abar_prev) + abar_prev beta: only positive terms, nothing cancels.
+            // 1 - abar = (1 - abar_prev) + abar_prev beta has only positive terms, so nothing
+            // cancels.
             rest.push(rest[t] + abar[t] * beta);
             abar.push(abar[t] * (1.0 - beta));
         }
@@ -220,7 +221,7 @@ mod tests {
         };
         let schedule = NoiseSchedule::new(&config).unwrap();
         let f = |u: f64| (FRAC_PI_2 * (u + 0.008) / 1.008).cos().powi(2);
-        // The cap acts on the last timestep alone.
+        // Only the beta of the last timestep is clipped.
         for t in 0..399 {
             let expected = f((t + 1) as f64 / 400.0) / f(0.0);
             assert!(

@@ -1,7 +1,7 @@
 //! The time input of a network: the noise level.
 
-/// The noise level of a sample in its network's units: the timestep of a diffusion process, 0 being
-/// the least noisy, or the flow time.
+/// The noise level of a sample in its network's units: the flow time, or the timestep of a
+/// diffusion process (0 is the least noisy).
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct Time(pub f64);
 
@@ -17,7 +17,7 @@ impl Time {
         timesteps.iter().copied().map(Self::from).collect()
     }
 
-    /// The timesteps of times.
+    /// The timesteps nearest to times.
     pub fn timesteps(times: &[Self]) -> Vec<usize> {
         times.iter().map(|time| time.timestep()).collect()
     }

@@ -39,15 +39,15 @@ pub type OnFlowStep<'a, const D: usize> = dyn FnMut(f64, &Tensor<D>) -> ControlF
 pub struct Flowed<const D: usize> {
     /// The state at t = 1, of the start's shape.
     pub x: Tensor<D>,
-    /// Number of velocities computed; with guidance each calls the network twice.
+    /// Number of velocities computed. With guidance, each velocity calls the network twice.
     pub evaluations: usize,
 }
 
 /// Runs the solver of `config` from `x` at t = 0 to t = 1.
 ///
 /// # Errors
-/// If the config is not valid, those of `velocity`, [`Error::Stopped`], and
-/// [`Error::FlowTolerance`] and [`Error::NotFinite`] of the adaptive solver.
+/// Errors of the config and of `velocity`, and [`Error::Stopped`]. The adaptive solver also returns
+/// [`Error::FlowTolerance`] and [`Error::NotFinite`].
 pub fn integrate<const D: usize>(
     velocity: &mut Velocity<'_, D>,
     x: Tensor<D>,
@@ -78,16 +78,17 @@ pub fn integrate<const D: usize>(
 
 /// Generates one pose or motion per sample of the start noise along a network's velocity.
 ///
-/// Run it on a plain device with a network of plain weights, as [`sample`](crate::sample).
-/// Predicted noise is converted to a velocity no nearer than [`NEAREST_END`] to t = 0, predicted
-/// data to t = 1.
+/// The device and the network's weights must be plain, as for [`sample`](crate::sample). For
+/// conversion to a velocity, t is clamped: at least [`NEAREST_END`] for predicted noise, at most `1
+/// - NEAREST_END` for predicted data.
 ///
 /// # Shapes
 /// - noise, standard normal, and the result: `[batch, channels, time]`
-/// - cond: the network's condition for the batch; its [`Time`]s run from 0 to 1
+/// - cond: the network's condition for the batch; [`Time`]s run from 0 to 1
 ///
 /// # Errors
-/// As [`integrate`]; [`Error::ModelOutput`] if the network's output has other sizes than its input.
+/// The errors of [`integrate`], and [`Error::ModelOutput`] if the sizes of the network's output and
+/// input differ.
 pub fn sample_flow<D: Denoiser + ?Sized>(
     denoiser: &D,
     noise: Tensor<3>,

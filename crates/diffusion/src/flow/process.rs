@@ -6,8 +6,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::per_sample::per_sample;
 
-/// Least distance from t = 0 at which predicted noise is converted to a velocity, and from t = 1
-/// for predicted data. Closer, the factors amplify the network's errors without bound.
+/// Smallest distance from t = 0 at which predicted noise is converted to a velocity. For predicted
+/// data, the distance is from t = 1. Closer, the factors amplify the network's errors without
+/// bound.
 pub const NEAREST_END: f64 = 0.05;
 
 /// The quantity that the network of a flow predicts.
@@ -24,20 +25,20 @@ pub enum FlowPrediction {
 }
 
 impl fmt::Display for FlowPrediction {
-    /// Its name in a config.
+    /// The name in a config.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.serialize(f)
     }
 }
 
 impl FlowPrediction {
-    /// `x_t = (1 - t) noise + t x_start`, a flow time for each sample.
+    /// `x_t = (1 - t) noise + t x_start`, with one flow time per sample.
     ///
     /// # Shapes
     /// - noise, x_start, output: `[batch, channels, time]`
     ///
     /// # Panics
-    /// Panics if there is not one t per sample.
+    /// Panics unless there is one t per sample.
     pub fn add_noise(noise: Tensor<3>, x_start: Tensor<3>, t: &[f64]) -> Tensor<3> {
         let factor = per_sample(t, &x_start);
         noise.clone() + (x_start - noise) * factor
@@ -63,13 +64,14 @@ impl FlowPrediction {
     /// v = (x_t - noise) / t      v = (data - x_t) / (1 - t)
     /// ```
     ///
-    /// Noise at t = 0 and data at t = 1 do not determine the velocity; the result is not finite.
+    /// Noise at t = 0 and data at t = 1 do not determine the velocity: the result is not finite
+    /// there.
     ///
     /// # Shapes
     /// - prediction, x_t, output: `[batch, channels, time]`
     ///
     /// # Panics
-    /// Panics if there is not one t per sample.
+    /// Panics unless there is one t per sample.
     pub fn convert(self, prediction: Tensor<3>, x_t: Tensor<3>, t: &[f64], to: Self) -> Tensor<3> {
         if self == to {
             return prediction;
@@ -90,7 +92,7 @@ impl FlowPrediction {
         }
     }
 
-    /// The time nearest to `t` at which the prediction determines a velocity.
+    /// `t`, clamped to the times at which the prediction determines a velocity.
     pub(super) fn readable(self, t: f64) -> f64 {
         match self {
             Self::Velocity => t,

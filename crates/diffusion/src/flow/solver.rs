@@ -7,7 +7,7 @@ use crate::Error;
 use crate::ode::{Method, Ode};
 use crate::sampler::continue_or_stop;
 
-/// A step of size `h`; `time` maps a place in it to a flow time.
+/// A step of size `h`; `time` maps places in the step to flow times.
 struct FlowStep<'a, 'v, T, const D: usize> {
     velocity: &'a mut Velocity<'v, D>,
     time: T,
@@ -24,7 +24,7 @@ impl<T: Fn(f64) -> f64, const D: usize> Ode<D> for FlowStep<'_, '_, T, D> {
     fn moved(&self, x: &Tensor<D>, shares: &[f64], slopes: &[Tensor<D>]) -> Tensor<D> {
         let terms = shares.iter().zip(slopes);
         let terms: Vec<_> = terms.filter(|(share, _)| **share != 0.0).collect();
-        // Slopes of equal shares are added before scaling: one product fewer.
+        // Adding slopes of equal shares before scaling saves a product.
         let equal = terms.chunk_by(|a, b| a.0 == b.0);
         equal.fold(x.clone(), |x, terms| {
             let slopes = terms.iter().map(|(_, slope)| (*slope).clone());
@@ -37,7 +37,7 @@ impl<T: Fn(f64) -> f64, const D: usize> Ode<D> for FlowStep<'_, '_, T, D> {
 /// `steps` equal steps of `method`.
 ///
 /// # Errors
-/// Those of `velocity`, and [`Error::Stopped`].
+/// The errors of `velocity`, and [`Error::Stopped`].
 pub(super) fn equal_steps<const D: usize>(
     method: &Method,
     velocity: &mut Velocity<'_, D>,
@@ -48,7 +48,7 @@ pub(super) fn equal_steps<const D: usize>(
     let h = 1.0 / steps as f64;
     for step in 0..steps {
         let start = step as f64;
-        // The two round differently, which the sample of a seed depends on.
+        // The formulas round differently; the sample of a seed depends on that rounding.
         let time = |place: f64| match method.evaluations() {
             1 | 2 => (start + place) * h,
             _ => start * h + place * h,
@@ -62,16 +62,16 @@ pub(super) fn equal_steps<const D: usize>(
 /// The shortest step of the adaptive solver.
 const LEAST_STEP: f64 = 1e-6;
 
-/// Steps of [`Method::DOPRI5`] of adaptive size. For every sample, the estimated error of a step is
-/// at most `tolerance`: the root mean square over the sample's numbers, each divided by its size if
-/// that is above 1. All samples of a batch take the same steps, so a sample depends on the others
+/// Steps of [`Method::DOPRI5`] with adaptive size. For every sample, the estimated error of a step
+/// is at most `tolerance`. The error is the root mean square over the sample's values, relative for
+/// values above 1. All samples of a batch take the same steps, so a sample depends on the others
 /// within the tolerance.
 ///
-/// Computes the velocity once at the start and six times per step, accepted or rejected.
+/// The velocity is computed once at the start and six times per accepted or rejected step.
 ///
 /// # Errors
-/// Those of `velocity`, [`Error::Stopped`], [`Error::FlowTolerance`] if no step is short enough,
-/// and [`Error::NotFinite`].
+/// The errors of `velocity`, [`Error::Stopped`], [`Error::FlowTolerance`] if no step is short
+/// enough, and [`Error::NotFinite`].
 pub(super) fn adaptive_steps<const D: usize>(
     velocity: &mut Velocity<'_, D>,
     mut x: Tensor<D>,
@@ -95,7 +95,7 @@ pub(super) fn adaptive_steps<const D: usize>(
         let difference = step.moved(&x.zeros_like(), &Method::DOPRI5_ERROR, &slopes);
         let size = x.clone().abs().max_pair(end.clone().abs()).clamp_min(1.0);
         let error = largest(difference / size) / tolerance;
-        // 0.9, 0.2 and 5 as in the book, section II.4.
+        // 0.9, 0.2 and 5 are from Hairer et al., section II.4.
         let factor = match error {
             0.0 => 5.0,
             error => (0.9 * error.powf(-0.2)).clamp(0.2, 5.0),
@@ -114,7 +114,7 @@ pub(super) fn adaptive_steps<const D: usize>(
     Ok(x)
 }
 
-/// The largest root mean square of a sample's numbers.
+/// The largest root mean square of a sample's values.
 fn largest<const D: usize>(errors: Tensor<D>) -> f64 {
     let samples = errors.dims()[0];
     let values = errors.cast(DType::F64).into_data();
@@ -123,7 +123,7 @@ fn largest<const D: usize>(errors: Tensor<D>) -> f64 {
     let mean_squares = values
         .chunks(of_sample.max(1))
         .map(|sample| sample.iter().map(|value| value * value).sum::<f64>() / sample.len() as f64);
-    // Unlike `f64::max`, this keeps the NaN of any sample.
+    // Unlike `f64::max`, this comparison keeps NaN.
     let worst = mean_squares.fold(0.0, |worst: f64, next| {
         match worst.is_nan() || next <= worst {
             true => worst,

@@ -17,7 +17,7 @@ const HEUN: SamplerKind = SamplerKind::Heun(Timesteps {
     guidance_until: 0,
 });
 
-/// Dormand and Prince's method in equal steps.
+/// Dormand and Prince's method with equal steps.
 const DOPRI5: SamplerKind = SamplerKind::Dopri5(Dopri5 { tolerance: None });
 
 fn adaptive(tolerance: f64) -> SamplerConfig {
@@ -154,7 +154,7 @@ fn a_path_begins_in_noise_and_ends_on_data() {
     assert!(apart(x_t.narrow(0, 1, 1), x_start.narrow(0, 1, 1)) < 1e-6);
 }
 
-/// Predicts a straight path to `cond`, and counts its calls.
+/// Predicts a straight path to `cond` and counts its own calls.
 struct Straight(FlowPrediction, Cell<usize>);
 
 impl Denoiser for Straight {
@@ -162,7 +162,7 @@ impl Denoiser for Straight {
 
     fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &Tensor<3>) -> Tensor<3> {
         self.1.set(self.1.get() + 1);
-        // The data determine velocity and noise up to the end.
+        // The data determine velocity and noise until NEAREST_END.
         let inner = |t: f64| t.min(1.0 - NEAREST_END);
         let times: Vec<f64> = time.iter().map(|time| inner(time.0)).collect();
         FlowPrediction::Sample.convert(cond.clone(), x_t, &times, self.0)
@@ -193,9 +193,9 @@ fn every_solver_follows_a_straight_flow_and_guidance_overshoots() {
             )
             .unwrap();
             assert_eq!(network.1.get(), calls * flowed.evaluations, "{kind}");
-            // Without guidance the result is the data; with it, twice the data.
+            // With guidance the result is twice the data, without guidance the data.
             let error = apart(flowed.x, data.clone() * guidance_scale);
-            // A solver with a slope at t = 1 is deflected by the divisor's bound.
+            // The bound of the divisor deflects solvers that compute a slope at t = 1.
             let allowed = if kind == SamplerKind::Euler {
                 1e-5
             } else {

@@ -6,30 +6,30 @@ use kinegrad_settings::{InvalidSetting, Refused, require};
 /// Bounds of the predicted clean motion, in the network's units (normalised motion).
 ///
 /// The source clips to [-1, 1] (CC-MotionGen, sections 3.2.4 and 8.1; docs/sources.md, sections 1.3
-/// and 1.9), which single channels of real motion exceed by far. Bounds per channel from the
-/// training data do not cut motion.
+/// and 1.9). Some channels of real motion exceed that range by far. Bounds per channel from
+/// training data do not.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum ClipRange {
     /// No bounds.
     #[default]
     None,
-    /// Every channel to `[-bound, bound]`.
+    /// Clips every channel to `[-bound, bound]`.
     Symmetric(f32),
-    /// Channel `c` to `[min[c], max[c]]`.
+    /// Clips channel `c` to `[min[c], max[c]]`.
     PerChannel {
-        /// Least value of each channel.
+        /// Smallest value of each channel.
         min: Vec<f32>,
-        /// Greatest value of each channel.
+        /// Largest value of each channel.
         max: Vec<f32>,
     },
-    /// To the inner bounds, with the gradient of the identity (the straight-through estimator,
-    /// Bengio et al. 2013, <https://arxiv.org/abs/1308.3432>). Otherwise a rollout whose early
-    /// steps exceed the bounds everywhere would lose its gradient.
+    /// Clips to the inner bounds, with the gradient of the identity (straight-through estimator,
+    /// Bengio et al. 2013, <https://arxiv.org/abs/1308.3432>). With plain clipping, a rollout has
+    /// zero gradient if its early steps exceed all bounds.
     StraightThrough(Box<ClipRange>),
 }
 
 impl ClipRange {
-    /// Checks the bounds of a motion of `channels` channels.
+    /// Checks the bounds for motions with `channels` channels.
     ///
     /// # Errors
     /// If the number of bounds is wrong, a minimum exceeds its maximum, or a bound is NaN.
@@ -60,7 +60,7 @@ impl ClipRange {
     /// - x, output: `[batch, channels, time]`
     ///
     /// # Errors
-    /// As [`ClipRange::validate`].
+    /// The errors of [`ClipRange::validate`].
     pub fn apply(&self, x: Tensor<3>) -> Result<Tensor<3>, InvalidSetting> {
         let shape = x.dims();
         let channels = shape[1];
@@ -88,7 +88,7 @@ impl ClipRange {
 fn ordered(channel: usize, min: f32, max: f32) -> Result<(), InvalidSetting> {
     let found = format!("[{min}, {max}] in channel {channel}");
     let allowed = "a minimum that does not exceed its maximum";
-    // The comparison also refuses NaN.
+    // The comparison also rejects NaN.
     require(min <= max, "clip", found, allowed)
         .hint("bounds of data that contains NaN look like this")
 }

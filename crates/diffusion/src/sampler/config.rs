@@ -21,8 +21,8 @@ pub struct SamplerConfig {
     pub num_inference_steps: usize,
     /// Classifier-free guidance scale; 1 disables guidance.
     pub guidance_scale: f64,
-    /// Guidance scale of the style, for models with one (`model.style`); if not set, the same as
-    /// `guidance_scale`.
+    /// Guidance scale of the style, for models with a style (`model.style`); if not set, the same
+    /// as `guidance_scale`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub style_guidance_scale: Option<f64>,
 }
@@ -31,21 +31,21 @@ pub struct SamplerConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum SamplerKind {
-    /// DDIM: deterministic at `eta` 0, and good with few steps.
+    /// DDIM: deterministic at `eta` 0, suitable for few steps.
     Ddim(Ddim),
-    /// Ancestral sampling: samples from the posterior in every step.
+    /// DDPM (ancestral sampling): samples from the posterior in every step.
     Ddpm(Timesteps),
-    /// DPM-Solver++ (2M): deterministic and of second order.
+    /// DPM-Solver++ (2M): deterministic, second order.
     #[serde(rename = "dpmpp_2m")]
     Dpmpp2m(Timesteps),
-    /// Deterministic and of second order, with two calls of the network a step. For flows too.
+    /// Heun's method: deterministic, second order, two network calls per step. Also for flows.
     Heun(Timesteps),
-    /// For flows: of first order, one call of the network a step.
+    /// Euler's method, for flows: first order, one network call per step.
     Euler,
-    /// For flows: of second order, two calls a step.
+    /// The midpoint method, for flows: second order, two network calls per step.
     Midpoint,
-    /// For flows: Dormand and Prince's method of order 5, six calls a step; with a `tolerance` it
-    /// chooses its steps itself.
+    /// Dormand and Prince's method, for flows: order 5, six network calls per step. A `tolerance`
+    /// makes the step size adaptive.
     Dopri5(Dopri5),
 }
 
@@ -53,27 +53,27 @@ pub enum SamplerKind {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
 #[schemars(default)]
 pub struct Ddim {
-    /// Which timesteps it visits.
+    /// The visited and the guided timesteps.
     #[serde(flatten)]
     pub timesteps: Timesteps,
-    /// Scale of the added noise, from 0 (deterministic) to 1 (as DDPM).
+    /// Scale of the added noise, from 0 (deterministic) to 1 (DDPM).
     pub eta: f64,
-    /// Where the last step lands; other samplers end at the clean motion.
+    /// The end of the last step. Other samplers end at the clean motion.
     pub final_alpha: FinalAlpha,
-    /// After clipping the predicted motion, continue with the noise that belongs to the clipped
-    /// one; the source continues with the network's, which then contradicts it.
+    /// Recompute the noise from the clipped motion after clipping. The source keeps the network's
+    /// noise, which is inconsistent with the clipped motion.
     pub recompute_epsilon: bool,
 }
 
-/// The timesteps that a sampler of a diffusion process visits, and those that it guides.
+/// The visited and the guided timesteps of a sampler of a diffusion process.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 #[schemars(default)]
 pub struct Timesteps {
     /// Spacing of the timesteps.
     pub timestep_spacing: TimestepSpacing,
-    /// Timestep below which no guidance scale is more than 1; 0 guides at all timesteps. Guidance
-    /// multiplies the network's errors, which at low noise make a motion shake, while the content
-    /// of the motion has been decided by then (Kynkäänniemi et al. 2024,
+    /// Timestep below which guidance scales are limited to 1; with 0, guidance acts at all
+    /// timesteps. Guidance amplifies the network's errors, which make a motion shake at low noise.
+    /// There the motion's content is already determined (Kynkäänniemi et al. 2024,
     /// <https://arxiv.org/abs/2404.07724>).
     pub guidance_until: usize,
 }
@@ -82,39 +82,41 @@ pub struct Timesteps {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 #[schemars(default)]
 pub struct Dopri5 {
-    /// Largest error of a step, of a number of size 1; `num_inference_steps` is not used then. If
-    /// not set, the steps are equal.
+    /// Largest error of a step, for values of size 1. With a tolerance, `num_inference_steps` is
+    /// not used. If not set, all steps have the same size.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance: Option<f64>,
 }
 
-/// Which timesteps a sampler of N steps visits out of T; entry i of 0..N, noisiest first.
+/// The rule for the N timesteps of a sampler out of T: entry i of 0..N, noisiest first.
 ///
 /// `leading`, `linspace` and `trailing` are the names of table 2 of Lin et al. 2023,
 /// <https://arxiv.org/abs/2305.08891>. With N = T all four are T-1, T-2, ..., 0.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum TimestepSpacing {
-    /// `T-1 - i floor(T/N)`: the source's rule (CC-MotionGen, section 8.1; docs/sources.md, section
-    /// 1.9). It begins at T-1 and ends above 0; where N does not divide T the low end is left out.
+    /// `T-1 - i floor(T/N)`, the source's rule (CC-MotionGen, section 8.1; docs/sources.md, section
+    /// 1.9). The timesteps begin at T-1 and end above 0. If N does not divide T, they omit the low
+    /// end.
     #[serde(rename = "ccmotion")]
     CcMotion,
-    /// `(N-1-i) floor(T/N)`: ends at 0, does not reach T-1.
+    /// `(N-1-i) floor(T/N)`: from below T-1 to 0.
     Leading,
-    /// `floor((T-1) (N-1-i) / (N-1))`, in integers; T-1 for N = 1. Both ends (section 7.3).
+    /// `floor((T-1) (N-1-i) / (N-1))`, in integers; T-1 for N = 1. T-1 and 0 are included (section
+    /// 7.3).
     #[default]
     Linspace,
-    /// `round(T (N-i) / N) - 1`, ties to even: begins at T-1, ends near T/N.
+    /// `round(T (N-i) / N) - 1`, ties to even: from T-1 to near T/N.
     Trailing,
 }
 
-/// Where the last step of DDIM lands.
+/// The end of the last step of DDIM.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum FinalAlpha {
-    /// On timestep 0, whose noise stays in the sample: `abar[0]` (section 8.1).
+    /// Timestep 0, `abar[0]` (section 8.1): its noise remains in the sample.
     First,
-    /// On the clean motion: `abar = 1` (section 7.3).
+    /// The clean motion, `abar = 1` (section 7.3).
     #[default]
     One,
 }
@@ -156,7 +158,7 @@ impl SamplerKind {
 }
 
 impl fmt::Display for SamplerKind {
-    /// Its name in a config.
+    /// The name in a config.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Ddim(_) => "ddim",
@@ -184,7 +186,7 @@ impl SamplerConfig {
     /// The guidance scales of the conditions at a timestep.
     pub fn guidance(&self, timestep: usize) -> GuidanceScales {
         let timesteps = self.kind.timesteps();
-        // Scales up to 1 amplify no errors; 0 stays the unconditional prediction.
+        // Scales up to 1 do not amplify errors; a scale of 0 remains the unconditional prediction.
         let most = match timesteps.is_some_and(|all| timestep < all.guidance_until) {
             true => 1.0,
             false => f64::INFINITY,
@@ -197,7 +199,7 @@ impl SamplerConfig {
     /// [`Flowed::evaluations`](crate::Flowed::evaluations).
     pub fn network_evaluations(&self) -> usize {
         match self.kind {
-            // The last step ends at the clean motion, which has no slope.
+            // The last step ends at the clean motion, where the slope is undefined.
             SamplerKind::Heun(_) => (2 * self.num_inference_steps).saturating_sub(1),
             _ => self.num_inference_steps,
         }
@@ -215,7 +217,7 @@ impl SamplerConfig {
 /// The table of a sampler's settings in a config.
 const TABLE: &str = "sampling.sampler";
 
-/// Most steps of a flow accepted.
+/// Largest number of steps of a flow.
 const MAX_FLOW_STEPS: usize = 10_000;
 
 /// Checks a sampler's settings for a diffusion process.

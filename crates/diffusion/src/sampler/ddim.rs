@@ -18,7 +18,7 @@ use crate::{Error, GaussianDiffusion};
 /// - x_T, output: `[batch, channels, time]`
 ///
 /// # Errors
-/// Those of `predict`.
+/// The errors of `predict`.
 pub fn ddim(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,
@@ -43,18 +43,18 @@ pub fn ddim(
 /// One step of DDIM (CC-MotionGen, sections 5.4 and 8.1; docs/sources.md, section 1.9; Song et al.
 /// 2021, <https://arxiv.org/abs/2010.02502>, equations 12 and 16).
 ///
-/// `eta` and `recompute_epsilon` are read from `config`. With `eta` 1 and jumps of one timestep it
-/// is [`super::ddpm_step`].
+/// `eta` and `recompute_epsilon` are read from `config`. With `eta` 1 and jumps of one timestep,
+/// the step equals [`super::ddpm_step`].
 ///
-/// Each sample goes from its timestep in `timesteps` to that in `prev_timesteps`, which is not
-/// above it; `None` is the clean motion. Without noise the step gives its mean.
+/// Each sample goes from its entry in `timesteps` to its entry in `prev_timesteps`, which is the
+/// same or lower; `None` is the clean motion. Without noise the step returns the mean.
 ///
 /// # Shapes
 /// - noise, standard normal, output: `[batch, channels, time]`
 ///
 /// # Panics
-/// Panics if there is not one timestep before and after for each sample, or if one is not below
-/// the process's number of timesteps.
+/// Panics unless each sample has one timestep before and one after the step, all below the
+/// process's number of timesteps.
 pub fn ddim_step(
     diffusion: &GaussianDiffusion,
     prediction: &Prediction<'_>,

@@ -16,7 +16,7 @@ use crate::{Error, GaussianDiffusion};
 /// - x_T, output: `[batch, channels, time]`
 ///
 /// # Errors
-/// Those of `predict`.
+/// The errors of `predict`.
 pub fn ddpm(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,
@@ -48,11 +48,11 @@ pub fn ddpm(
 /// <https://arxiv.org/abs/2006.11239>, equations 6 and 7).
 ///
 /// A jump over several timesteps is a step of the respaced process (Nichol and Dhariwal 2021,
-/// <https://arxiv.org/abs/2102.09672>, equation 19) with the beta `1 - abar / abar'`. A sample that
-/// goes to the clean motion gets no noise; the source decides this by the first sample.
+/// <https://arxiv.org/abs/2102.09672>, equation 19) with the beta `1 - abar / abar'`. A sample
+/// whose step ends at the clean motion gets no noise. The source decides by the first sample.
 ///
-/// Timesteps and noise are those of [`super::ddim_step`]. Under steering (docs/sources.md, sections
-/// 4.6 to 4.8) the mean is shifted by the gradient:
+/// Timesteps and noise are those of [`super::ddim_step`]. With steering (docs/sources.md, sections
+/// 4.6 to 4.8) the gradient shifts the mean:
 ///
 /// ```text
 /// mean = coef1 x_0 + coef2 x_t + variance g           g: Steered::scaled_gradient
@@ -65,15 +65,15 @@ pub fn ddpm(
 /// mean  <- known entries of (coef1 put(x_0) + coef2 x_t), else mean
 /// ```
 ///
-/// If it predicts noise, they replace entries of the sample, noised by `imputation_noise` to the
-/// level of `prev_timesteps`.
+/// If the network predicts noise, known values replace entries of the sample. `imputation_noise`
+/// first noises them to the level of `prev_timesteps`.
 ///
 /// # Shapes
 /// - noise, imputation_noise, both standard normal, output: `[batch, channels, time]`
 ///
 /// # Panics
-/// Panics if there is not one timestep before and after for each sample, or if one is not below
-/// the process's number of timesteps.
+/// Panics unless each sample has one timestep before and one after the step, all below the
+/// process's number of timesteps.
 pub fn ddpm_step(
     diffusion: &GaussianDiffusion,
     prediction: &Prediction<'_>,

@@ -9,18 +9,18 @@ use super::{OnStep, continue_or_stop};
 use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion};
 
-/// Fewest steps whose last is of second order, unless it ends at the clean motion; with fewer it
-/// would overshoot (as in diffusers' `lower_order_final`).
+/// Smallest number of steps with a last step of second order. With fewer, it would overshoot
+/// (diffusers' `lower_order_final`). Steps to the clean motion are of first order.
 const STEPS_OF_SECOND_ORDER: usize = 15;
 
 /// Samples by DPM-Solver++(2M) along `path` (Lu et al. 2022, <https://arxiv.org/abs/2211.01095>,
-/// algorithm 2): of second order with one call of the network per step.
+/// algorithm 2), a method of second order with one network call per step.
 ///
 /// # Shapes
 /// - x_T, output: `[batch, channels, time]`
 ///
 /// # Errors
-/// Those of `predict`.
+/// The errors of `predict`.
 pub fn dpmpp_2m(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,

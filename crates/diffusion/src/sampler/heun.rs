@@ -11,14 +11,14 @@ use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion, Time};
 
 /// Samples by Heun's method along `path` (Karras et al. 2022, <https://arxiv.org/abs/2206.00364>,
-/// algorithm 1). Calls the network twice per step, and once in the step to the clean motion, which
-/// uses Euler's method because there is no slope at its end.
+/// algorithm 1). Each step calls the network twice, but the step to the clean motion once: the
+/// slope at its end is undefined, so it is Euler's.
 ///
 /// # Shapes
 /// - x_T, output: `[batch, channels, time]`
 ///
 /// # Errors
-/// Those of `predict`. [`must_suit`](super::must_suit) refuses paths from pure noise (NaN).
+/// The errors of `predict`. [`must_suit`](super::must_suit) rejects paths from pure noise (NaN).
 pub fn heun(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,
@@ -54,7 +54,7 @@ pub fn heun(
 /// ```
 struct Step<'a, 'p, 's> {
     predict: &'a mut Predict<'p, 's>,
-    /// At both ends.
+    /// At both ends of the step.
     times: [Vec<Time>; 2],
     now: Vec<Level>,
     next: Vec<Level>,
@@ -80,7 +80,7 @@ impl Ode<3> for Step<'_, '_, '_> {
     }
 
     fn moved(&self, _: &Tensor<3>, shares: &[f64], slopes: &[Self::Slope]) -> Tensor<3> {
-        // The state at the start, perhaps with another gradient.
+        // The state at the start, possibly with a different gradient.
         let (x_t, x_start) = slopes[0].clone();
         if slopes.len() == 1 {
             // u' = u + (r' - r) (u - x_0) / r = (r' / r) u + (1 - r' / r) x_0.

@@ -2,7 +2,7 @@
 
 use burn::tensor::Tensor;
 
-/// Conversion between the network's space and that of the known values, by affine maps.
+/// Affine conversion between the network's space and the space of the known values.
 pub trait Space {
     /// Network space to the space of the known values.
     ///
@@ -22,14 +22,14 @@ pub trait Space {
 pub struct Imputation<'a> {
     /// The space of the values.
     pub space: &'a dyn Space,
-    /// The values, `[batch, channels, time]`, used where the mask is 1.
+    /// The values, `[batch, channels, time]`; entries with mask 1 are used.
     pub target: Tensor<3>,
     /// 1 where a value is known, else 0: `[batch, channels, time]`.
     pub mask: Tensor<3>,
 }
 
 impl Imputation<'_> {
-    /// `x`, in the network's space, with its known values replaced.
+    /// `x`, in the network's space, with the known values put in.
     pub fn put_into(&self, x: Tensor<3>) -> Tensor<3> {
         let motion = self.space.to_motion(x);
         let target = self.target.clone();

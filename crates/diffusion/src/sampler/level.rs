@@ -28,7 +28,7 @@ impl Level {
         self.sigma / self.alpha
     }
 
-    /// Growth of `ln(alpha / sigma)` to another level.
+    /// Increase of `ln(alpha / sigma)` to another level.
     pub fn lambda_to(&self, other: &Self) -> f64 {
         (self.ratio() / other.ratio()).ln()
     }

@@ -1,7 +1,7 @@
 //! Samplers: from noise to motion.
 //!
 //! Each sampler is a loop in its own file that calls a [`Predict`] along a [`TimestepPath`].
-//! [`sample`] runs the sampler of a config with a network, [`sample_with`] with any [`Predict`].
+//! [`sample`] runs a config's sampler with a network, [`sample_with`] runs it with any [`Predict`].
 //! The steps of DDIM and DDPM are public for custom loops.
 
 #![expect(
@@ -62,11 +62,11 @@ pub(crate) fn continue_or_stop(flow: ControlFlow<()>) -> Result<(), Error> {
 /// Generates one motion per sample of the start noise (CC-MotionGen, sections 3.2.4, 8.1 and 8.3;
 /// docs/sources.md, sections 1.3 and 1.9).
 ///
-/// Run it on a plain device with a network of plain weights (Burn: `Module::valid`). On an autodiff
-/// device every step stores its graph, and memory grows from call to call.
+/// The device and the network's weights must be plain (Burn: `Module::valid`). On an autodiff
+/// device every step stores its graph, and memory grows with every call.
 ///
-/// `keys` seed the noise of the steps (`ddpm`, and `ddim` with `eta` above 0), generated on the
-/// host so that it does not depend on the device.
+/// `keys` seed the noise of the steps (`ddpm`, and `ddim` with `eta` above 0). The noise is
+/// generated on the host, so it does not depend on the device.
 ///
 /// # Shapes
 /// - x_T, the start noise, standard normal: `[batch, channels, time]`
@@ -75,7 +75,7 @@ pub(crate) fn continue_or_stop(flow: ControlFlow<()>) -> Result<(), Error> {
 ///
 /// # Errors
 /// If the sampler's settings are not valid for this process, the clipping bounds do not fit the
-/// channels, or the network's output has other sizes than its input.
+/// channels, or the sizes of the network's output and input differ.
 #[expect(
     clippy::too_many_arguments,
     reason = "each is another thing, named at the call"
@@ -105,7 +105,7 @@ pub fn sample<'k, D: Denoiser + ?Sized>(
 /// - x_T, output: `[batch, channels, time]`
 ///
 /// # Errors
-/// If the sampler's settings are not valid for this process, and those of `predict`.
+/// If the sampler's settings are not valid for this process, and the errors of `predict`.
 pub fn sample_with(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,

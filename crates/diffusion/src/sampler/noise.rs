@@ -6,11 +6,11 @@ use kinegrad_random::Key;
 /// The source of a sampler's noise.
 #[derive(Clone, Copy, Debug)]
 pub enum NoiseKeys<'a> {
-    /// One key for the batch: step n of sample i uses `key.at(n).at(i)`, so that the noise does not
+    /// One key for the batch. Step n of sample i uses `key.at(n).at(i)`, so the noise does not
     /// depend on the batch size.
     Batch(Key),
-    /// One key per sample, whose noise does not depend on its place in the batch:
-    /// `key.at(n).at(0)`.
+    /// One key per sample. Step n uses `key.at(n).at(0)`, independent of the sample's place in the
+    /// batch.
     Samples(&'a [Key]),
     /// One key per sample with its index in a [`Batch`](Self::Batch): `key.at(n).at(index)`.
     Numbered(&'a [(Key, u64)]),
@@ -22,7 +22,7 @@ pub enum NoiseKeys<'a> {
         /// The first frame of each sample.
         starts: &'a [usize],
     },
-    /// Stored noise, to repeat the run of another program.
+    /// Stored noise, for reproducing the run of another program.
     Fixed(&'a FixedNoise),
 }
 
@@ -42,7 +42,7 @@ impl From<Key> for NoiseKeys<'_> {
 }
 
 impl NoiseKeys<'_> {
-    /// Standard normal noise of a step, of the shape of `x`; noise of another purpose has a `name`.
+    /// Standard normal noise of a step, in the shape of `x`. Noise for other purposes has a `name`.
     ///
     /// # Panics
     /// Panics if [`FixedNoise`] does not contain the step.

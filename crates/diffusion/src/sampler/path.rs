@@ -34,7 +34,7 @@ impl TimestepPath {
     /// Step `index` as a path.
     ///
     /// # Panics
-    /// Panics if there are not so many steps.
+    /// Panics if `index` is out of range.
     #[must_use]
     pub fn step(&self, index: usize) -> Self {
         Self {
@@ -51,7 +51,7 @@ impl TimestepPath {
     /// The timestep of each sample before step `index`.
     ///
     /// # Panics
-    /// Panics if there are not so many steps.
+    /// Panics if `index` is out of range.
     pub fn timesteps(&self, index: usize) -> &[usize] {
         &self.steps[index]
     }
@@ -59,12 +59,12 @@ impl TimestepPath {
     /// [`timesteps`](Self::timesteps) as the time input of a network.
     ///
     /// # Panics
-    /// Panics if there are not so many steps.
+    /// Panics if `index` is out of range.
     pub fn time(&self, index: usize) -> Vec<Time> {
         Time::of(self.timesteps(index))
     }
 
-    /// True if a sample goes to another timestep in step `index`, other than the clean motion.
+    /// True if step `index` takes a sample to a different timestep, not the clean motion.
     pub(super) fn stays_noisy(&self, index: usize) -> bool {
         let prev = self.prev_timesteps(index).into_iter();
         prev.zip(self.timesteps(index))
@@ -75,7 +75,7 @@ impl TimestepPath {
     /// The timestep of each sample after step `index`.
     ///
     /// # Panics
-    /// Panics if there are not so many steps.
+    /// Panics if `index` is out of range.
     pub fn prev_timesteps(&self, index: usize) -> Vec<Option<usize>> {
         match self.steps.get(index + 1) {
             Some(next) => next.iter().copied().map(Some).collect(),

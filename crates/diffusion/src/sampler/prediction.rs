@@ -14,7 +14,8 @@ pub type Predict<'p, 's> = dyn FnMut(Tensor<3>, &[Time]) -> Result<Prediction<'s
 
 /// A prediction of the clean motion at a noise level.
 pub struct Prediction<'s> {
-    /// The input of the prediction, perhaps with another gradient; the step continues from it.
+    /// The input of the prediction, possibly with a different gradient. The step continues from
+    /// this state.
     pub x_t: Tensor<3>,
     /// The predicted clean motion, clipped.
     pub x_start: Tensor<3>,
@@ -50,8 +51,8 @@ impl<'s> Prediction<'s> {
         })
     }
 
-    /// The predicted noise: that of the network or, with `recompute` and a clipped prediction, that
-    /// of the clipped motion.
+    /// The predicted noise. With `recompute`, noise of a clipped prediction is recomputed from the
+    /// clipped motion.
     pub fn epsilon(
         &self,
         diffusion: &GaussianDiffusion,

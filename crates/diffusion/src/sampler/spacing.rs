@@ -5,8 +5,8 @@ use super::config::{SamplerConfig, TimestepSpacing};
 /// The timesteps of `config` out of `num_train_timesteps`, noisiest first: strictly decreasing for
 /// a valid config.
 ///
-/// The formulas of [`TimestepSpacing`] are evaluated in integers; a linspace in single precision is
-/// wrong at some step counts (from 220 of 1000).
+/// The formulas of [`TimestepSpacing`] are evaluated in integers. A linspace in single precision is
+/// wrong for some numbers of steps (from 220 of 1000).
 pub fn timesteps(config: &SamplerConfig, num_train_timesteps: usize) -> Vec<usize> {
     let (total, steps) = (num_train_timesteps, config.num_inference_steps);
     let last = total.saturating_sub(1);

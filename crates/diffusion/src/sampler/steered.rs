@@ -49,7 +49,8 @@ impl Steered<'_> {
         }
     }
 
-    /// `sample`, the result of the step, with the known values in it if the network predicts noise.
+    /// `sample`, the result of the step. If the network predicts noise, it contains the known
+    /// values.
     pub(crate) fn impute(
         &self,
         diffusion: &GaussianDiffusion,
@@ -67,7 +68,7 @@ impl Steered<'_> {
         let known = imputation.put_into(x_start);
         let noised = match imputation_noise {
             Some(noise) => {
-                // As in the published program, timestep 0 is the lowest level.
+                // As in the published program, timestep 0 is the lowest noise level.
                 let levels: Vec<usize> = prev_timesteps.iter().map(|t| t.unwrap_or(0)).collect();
                 diffusion.add_noise(known, noise, &levels)
             }
@@ -77,9 +78,9 @@ impl Steered<'_> {
     }
 }
 
-/// `shift` with the norm of each frame, over its channels, limited to `most`, `[batch, 1, 1]`.
+/// `shift` with the norm of each frame (over channels) limited to `most`, `[batch, 1, 1]`.
 fn limited(shift: Tensor<3>, most: Tensor<3>) -> Tensor<3> {
-    // Scaled first, because squares of large shifts would overflow; a shift of zero stays zero.
+    // Scaling first prevents an overflow of squares of large shifts. A shift of zero stays zero.
     let largest = shift.clone().abs().max_dim(1).clamp_min(f32::MIN_POSITIVE);
     let direction = shift / largest.clone();
     let length = direction.clone().square().sum_dim(1).sqrt();
@@ -102,7 +103,7 @@ mod tests {
         let tensor = |values: &[f32], shape: [usize; 3]| -> Tensor<3> {
             Tensor::from_data(TensorData::new(values.to_vec(), shape), &Device::flex())
         };
-        // Three frames of two channels: 5 long, 0.5 long, none.
+        // Three frames of two channels, of norm 5, 0.5 and 0.
         let shift = tensor(&[3.0, 0.3, 0.0, 4.0, 0.4, 0.0], [1, 2, 3]);
         let found = limited(shift, tensor(&[1.0], [1, 1, 1]));
         let found = found.try_into_vec_as::<f32>().unwrap();

@@ -57,8 +57,8 @@ impl Default for Table {
 }
 
 impl Table {
-    /// Rejects keys of other kinds unless they have their default value: `--set` may change the
-    /// kind of a saved config, which contains all keys of its kind.
+    /// Rejects keys of other kinds unless they have their default value. A saved config contains
+    /// all keys of its kind, and `--set` may change the kind.
     fn refuse_keys_of_other_kinds(&self) -> Result<(), String> {
         let usual = Self::default();
         let is_ddim = matches!(self.kind, Kind::Ddim);
@@ -91,7 +91,7 @@ impl Table {
         };
         let own = keys.iter().filter(|(_, own, _)| *own);
         let own: Vec<String> = own.map(|(key, ..)| format!("`{key}`")).collect();
-        // In serde's words for an unknown key.
+        // The wording of serde for an unknown key.
         Err(format!(
             "unknown field `{key}`, expected one of {}",
             own.join(", ")

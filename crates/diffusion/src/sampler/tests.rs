@@ -1,4 +1,4 @@
-//! Properties of the loops, with networks of known predictions.
+//! Properties of the sampling loops, with networks of known predictions.
 
 use burn::tensor::{Device, TensorData};
 use kinegrad_random::{Key, Purpose};
@@ -9,7 +9,7 @@ use std::ops::ControlFlow;
 use super::*;
 use crate::{BetaSchedule, DiffusionConfig, PredictionType};
 
-/// Predicts `cond` as the clean motion: the best denoiser of a data set of one motion.
+/// Predicts `cond` as the clean motion: the optimal denoiser of a dataset of one motion.
 struct Knows<'a>(&'a GaussianDiffusion);
 
 impl Denoiser for Knows<'_> {
@@ -169,7 +169,7 @@ fn any_config(total: usize) -> impl Strategy<Value = SamplerConfig> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
-    /// For every kind, spacing, number of steps and prediction type.
+    /// This holds for every kind, spacing, number of steps and prediction type.
     #[test]
     fn a_network_that_knows_the_motion_leads_to_it(
         config in any_config(50),
@@ -269,7 +269,7 @@ fn parts_share_the_noise_of_their_frames() {
             assert!(!found.is_empty() && found.iter().all(|noise| *noise == expected));
         }
     }
-    // The noise does not depend on the earlier parts.
+    // The noise of a part does not depend on the earlier parts.
     assert_eq!(noise_of_parts(key(9), &[4], [channels, time]), values[20..]);
 }
 
@@ -367,8 +367,8 @@ fn the_last_step_ends_at_the_clipped_motion() {
     }
 }
 
-/// After a clipped step the recomputed noise and the clipped motion make up x_t; the network's
-/// noise does not.
+/// After clipping, the recomputed noise and the clipped motion add up to x_t. The network's noise
+/// does not.
 #[test]
 fn recomputed_noise_belongs_to_the_clipped_motion() {
     let diffusion = process(50, PredictionType::Epsilon);
@@ -380,7 +380,7 @@ fn recomputed_noise_belongs_to_the_clipped_motion() {
         };
         let now = [30, 30];
         let prediction = Prediction::new(&diffusion, normal(2), normal(1), &now, &clip).unwrap();
-        // A step to the same timestep gives back x_t if motion and noise are consistent.
+        // A step to the same timestep returns x_t if motion and noise are consistent.
         ddim_step(&diffusion, &prediction, &now, &now.map(Some), None, &config)
     };
     assert!(largest(step(true) - normal(1)) < 1e-6);
@@ -452,7 +452,7 @@ fn a_schedule_that_ends_in_pure_noise_can_be_sampled() {
     for kind in kinds(timesteps, 0.5) {
         let config = SamplerConfig::new(kind, 20);
         if matches!(config.kind, SamplerKind::Heun(_)) {
-            // Its slope is that of x / alpha, which pure noise does not have.
+            // Heun's slope is that of x / alpha, which is undefined for pure noise.
             let network = Knows(&diffusion);
             let refused = try_run(&diffusion, &network, &normal(7), &config, key(3));
             assert!(matches!(refused, Err(Error::Setting(_))));

@@ -1,8 +1,9 @@
-//! Sampling with position control: classifier guidance, by the gradient of a loss of the predicted
-//! clean motion through the network, and imputation of known values.
+//! Position control by classifier guidance and imputation of known values. The guidance is the
+//! gradient of a loss of the predicted clean motion through the network.
 //!
 //! Source: Guided Motion Diffusion, appendix F, and Dhariwal and Nichol 2021,
-//! <https://arxiv.org/abs/2105.05233>, algorithm 1, with the mean's shift scaled by the variance.
+//! <https://arxiv.org/abs/2105.05233>, algorithm 1. The shift of the mean is scaled by the
+//! variance.
 
 mod step;
 
@@ -31,7 +32,7 @@ pub trait Objective {
 pub struct Guidance<'a> {
     /// The loss.
     pub objective: &'a dyn Objective,
-    /// The guidance scale `s`; the gradient is also multiplied by the variance of the step.
+    /// The guidance scale `s`. The variance of the step also multiplies the gradient.
     pub scale: f64,
     /// Largest norm of a frame's shift in one step, in standard deviations of the step's noise.
     pub max_shift: Option<f64>,
@@ -49,16 +50,16 @@ pub struct Steering<'a> {
 /// A network with and without gradients.
 #[derive(Debug)]
 pub struct Networks<'a, D: ?Sized> {
-    /// On an autodiff device; its weights need no gradients.
+    /// The network on an autodiff device; weights need no gradients.
     pub tracked: &'a D,
-    /// On the plain device.
+    /// The network on the plain device.
     pub plain: &'a D,
 }
 
 /// Generates one motion per sample of the start noise with DDPM, with the guidance and imputation
 /// that `steering` returns for each timestep.
 ///
-/// Noise is that of [`sample`](crate::sample); that of an imputation has the name `imputation`.
+/// The noise is that of [`sample`](crate::sample). Imputation noise has the name `imputation`.
 ///
 /// # Shapes
 /// - x_T, the start noise, standard normal: `[batch, channels, time]`, on the plain device
@@ -66,7 +67,7 @@ pub struct Networks<'a, D: ?Sized> {
 /// - output: `[batch, channels, time]`
 ///
 /// # Errors
-/// As [`sample`](crate::sample), and if the sampler is not DDPM.
+/// The errors of [`sample`](crate::sample), and if the sampler is not DDPM.
 #[expect(
     non_snake_case,
     reason = "x_T is the field's symbol for the start noise"

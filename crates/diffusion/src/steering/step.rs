@@ -8,15 +8,15 @@ use crate::{
     guided,
 };
 
-/// The prediction for `x_t` with the guidance and imputation of its step: under guidance the
-/// gradient `g = s d(-L(x_0)) / d x_t`, through clip and network.
+/// The prediction for `x_t` with the guidance and imputation of its step. The gradient of the
+/// guidance is `g = s d(-L(x_0)) / d x_t`, through clipping and network.
 ///
 /// # Shapes
 /// - x_t: `[batch, channels, time]`, on the plain device
 ///
 /// # Errors
-/// If the clipping bounds do not fit the channels, or the network's output has other sizes than
-/// its input.
+/// If the clipping bounds do not fit the channels, or the sizes of the network's output and input
+/// differ.
 #[expect(
     clippy::too_many_arguments,
     reason = "each is another thing, named at the call"
@@ -50,7 +50,7 @@ pub fn steered_prediction<'s, D: Denoiser<Cond = Tensor<3>> + ?Sized>(
     let tracked = x_t.clone().autodiff().require_grad();
     let prediction = predict(networks.tracked, tracked.clone(), &cond.clone().autodiff())?;
     let x_start = prediction.x_start.clone().without_autodiff();
-    // The gradient of this sum with respect to x_t is that of the loss.
+    // The gradient of this sum with respect to x_t is the gradient of the loss.
     let cotangent = guidance.objective.gradient(&x_start).autodiff();
     let mut gradients = (prediction.x_start * cotangent).sum().backward();
     let gradient = match tracked.grad_remove(&mut gradients) {
