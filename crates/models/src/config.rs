@@ -4,16 +4,16 @@ use kinegrad_settings::{InvalidSetting, Refused, require};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// Settings by the name of a size.
+/// Settings, by the name of a size.
 pub type NamedSizes<N> = &'static [(&'static str, fn() -> N)];
 
-/// Widest layer, in channels.
+/// Largest width of a layer, in channels.
 pub const MAX_WIDTH: usize = 65_536;
 
-/// Most layers or blocks in a row.
+/// Largest number of consecutive layers or blocks.
 pub const MAX_LAYERS: usize = 1_024;
 
-/// Validates `model.latent_dim`, an even number; `hint` is that of the error.
+/// Validates `model.latent_dim`, an even number; `hint` belongs to the error.
 ///
 /// # Errors
 /// Names the key.
@@ -27,7 +27,7 @@ pub fn must_be_even(width: usize, hint: &'static str) -> Result<(), InvalidSetti
     .hint(hint)
 }
 
-/// Validates `model.num_heads`, a divisor of `model.latent_dim`.
+/// Validates that `model.num_heads` divides `model.latent_dim`.
 ///
 /// # Errors
 /// Names the key.
@@ -40,15 +40,15 @@ pub fn must_divide(heads: usize, width: usize) -> Result<(), InvalidSetting> {
     )
 }
 
-/// The settings of one kind of network: the keys of a table `model` beside `kind` and `size`, with
-/// defaults. Sizes that depend on the data are not among them.
+/// The settings of one kind of network, with defaults: the keys of a table `model` other than
+/// `kind` and `size`. Sizes that depend on the data are not settings.
 pub trait NetworkConfig: Serialize + DeserializeOwned + 'static {
     /// Name of the kind, in `model.kind`.
     const KIND: &'static str;
 
-    /// Defaults by the name in `model.size`; the first is the default size.
+    /// Defaults by the name in `model.size`. The first is the default.
     const SIZES: NamedSizes<Self>;
 
-    /// Fills in missing keys that follow from others.
+    /// Fills in missing keys that follow from other keys.
     fn complete(&mut self) {}
 }

@@ -1,15 +1,15 @@
-//! Dropout with masks from a key, so that a resumed step drops the same elements.
+//! Dropout with masks from a random key: a resumed step drops the same elements.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_random::Key;
 
-/// The key of a forward pass's masks: `Some` in training, by step, micro-batch and call; `None`
-/// disables dropout (validation, sampling, rollouts).
+/// The random key of a forward pass's masks. In training it depends on step, micro-batch and call.
+/// `None` disables dropout (validation, sampling, rollouts).
 pub type DropoutKey = Option<Key>;
 
-/// Inverted dropout: elements are zeroed with probability `prob`, the rest scaled by
-/// `1 / (1 - prob)`.
+/// Inverted dropout: elements are zeroed with probability `prob`; other elements are scaled by `1 /
+/// (1 - prob)`.
 #[derive(Module, Debug)]
 pub struct Dropout {
     prob: f64,
@@ -17,7 +17,7 @@ pub struct Dropout {
 }
 
 impl Dropout {
-    /// Dropout of probability `prob`; `layer` is its number among the network's dropout layers.
+    /// Dropout of probability `prob`; `layer` is the index among the network's dropout layers.
     pub fn new(prob: f64, layer: usize) -> Self {
         Self { prob, layer }
     }
@@ -27,7 +27,7 @@ impl Dropout {
         key.is_some() && self.prob > 0.0
     }
 
-    /// Applies the mask of `key`; without a key returns `x`.
+    /// Applies the mask of `key`; returns `x` without a key.
     ///
     /// # Shapes
     /// - x, output: any

@@ -10,7 +10,7 @@ pub enum Error {
         "the weights belong to another architecture: compare `model.*` of both configs"
     ))]
     Weights {
-        /// All of [`differences`](crate::parameters::differences).
+        /// All [`differences`](crate::parameters::differences).
         differences: Vec<String>,
     },
 }

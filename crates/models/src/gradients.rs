@@ -1,12 +1,12 @@
-//! Gradients of several backward passes, summed on the device.
+//! Sums of gradients over several backward passes, on the device.
 
 use burn::module::{Module, ModuleVisitor, Param};
 use burn::tensor::{Gradients, Tensor, Transaction};
 
 use crate::parameters;
 
-/// Removes the gradients of `module`'s parameters from `gradients`; zeros for a parameter that had
-/// no part in the loss or is frozen.
+/// Removes the gradients of `module`'s parameters from `gradients`. Parameters that are frozen or
+/// unused in the loss have zeros.
 pub fn gradients<M: Module>(module: &M, gradients: &mut Gradients) -> Vec<Vec<f32>> {
     let mut sum = GradientSum::default();
     sum.add(module, gradients);
@@ -19,7 +19,7 @@ pub fn gradients<M: Module>(module: &M, gradients: &mut Gradients) -> Vec<Vec<f3
 pub struct GradientSum(Vec<Option<Tensor<1>>>);
 
 impl GradientSum {
-    /// Removes the gradients of `module`'s parameters from `gradients` and adds them.
+    /// Moves the gradients of `module`'s parameters from `gradients` into the sums.
     pub fn add<M: Module>(&mut self, module: &M, gradients: &mut Gradients) {
         struct Visitor<'a> {
             gradients: &'a mut Gradients,
@@ -50,12 +50,12 @@ impl GradientSum {
         });
     }
 
-    /// The sums on the host, in one read; zeros for a parameter that had no part in any loss.
+    /// The sums on the host, in one read. Parameters unused in all losses have zeros.
     pub fn into_host<M: Module>(self, module: &M) -> Vec<Vec<f32>> {
         self.into_host_with(module, Vec::new()).0
     }
 
-    /// [`into_host`](Self::into_host), and the values of `others` in the same read.
+    /// [`into_host`](Self::into_host) that also reads the values of `others`, in the same read.
     pub fn into_host_with<M: Module>(
         mut self,
         module: &M,
@@ -83,8 +83,7 @@ impl GradientSum {
         (values.collect(), read.collect())
     }
 
-    /// The sums on their device, in the module's order; `None` for a parameter that had no part in
-    /// any loss.
+    /// The sums on their device, in the module's order; `None` for parameters unused in all losses.
     pub fn into_tensors(self) -> Vec<Option<Tensor<1>>> {
         self.0
     }

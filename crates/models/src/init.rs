@@ -4,9 +4,9 @@ use burn::module::{Param, ParamId};
 use burn::tensor::{Device, Shape, Tensor, TensorData};
 use kinegrad_random::{Key, Purpose};
 
-/// Initialises parameters at one place of a network's tree; [`at`](Self::at) descends.
+/// Initializes the parameters of one node of a network's module tree; [`at`](Self::at) descends.
 ///
-/// Parameters are lazy: counting them or loading them from a file initialises none.
+/// Parameters are lazy: counting parameters or loading a file does not initialize them.
 #[derive(Clone, Debug)]
 pub struct Initializer {
     key: Key,
@@ -22,7 +22,7 @@ impl Initializer {
         }
     }
 
-    /// The place `name` below this one.
+    /// The child `name` of this node.
     #[must_use]
     pub fn at(&self, name: &str) -> Self {
         Self {
@@ -31,8 +31,8 @@ impl Initializer {
         }
     }
 
-    /// A parameter sampled uniformly from `+-1 / sqrt(fan_in)`, the default of PyTorch's linear and
-    /// convolution layers for weights and biases.
+    /// A parameter sampled uniformly from `+-1 / sqrt(fan_in)`. PyTorch's linear and convolution
+    /// layers use this default for weights and biases.
     pub fn uniform<const D: usize>(
         &self,
         name: &str,
@@ -64,10 +64,10 @@ impl Initializer {
         self.parameter(shape, move |n| vec![value; n])
     }
 
-    /// A parameter of these row-major values.
+    /// A parameter with these row-major values.
     ///
     /// # Panics
-    /// Panics at its first use if their number does not fit the shape.
+    /// The first use panics if the number of values does not fit the shape.
     pub fn values<const D: usize>(&self, shape: [usize; D], values: Vec<f32>) -> Param<Tensor<D>> {
         self.parameter(shape, move |_| values)
     }

@@ -1,8 +1,8 @@
-//! Layers and tools shared by the networks, which are in the crates of their systems.
+//! Layers and tools shared by the networks. The networks are in the crates of their systems.
 //!
-//! [`layers`] have PyTorch's names and weight layouts: the path of a parameter in the module tree
-//! *is* its state-dict name, by which [`parameters`] reads and writes it. [`lora`] adds low-rank
-//! adapters, [`text_encoder`] is CLIP's text network.
+//! [`layers`] have PyTorch's names and weight layouts. The path of a parameter in the module tree
+//! *is* the state-dict name, which [`parameters`] uses. [`lora`] adds low-rank adapters;
+//! [`text_encoder`] is CLIP's text encoder.
 
 pub mod config;
 pub mod dropout;

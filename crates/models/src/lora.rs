@@ -1,4 +1,4 @@
-//! LoRA: adapters of selected layers.
+//! LoRA adapters of selected layers.
 
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
@@ -11,25 +11,25 @@ use crate::config::MAX_WIDTH;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LoraTarget {
-    /// Every projection of the attention blocks, of self- and cross-attention.
+    /// All projections of the self- and cross-attention blocks.
     Attention,
-    /// The residual blocks' convolutions and shortcuts, the convolutions between levels, and the
-    /// first and the last.
+    /// The convolutions: the residual blocks' convolutions and shortcuts, the convolutions between
+    /// levels, the first and the last.
     Convolution,
-    /// The projections that feed the conditions in: of the audio features, of the style,
-    /// and of the time embedding in each residual block.
+    /// The projections of the conditions: audio features, style, and time embedding in each
+    /// residual block.
     Conditioning,
 }
 
 /// Low-rank adapters for fine-tuning (Hu et al. 2021, <https://arxiv.org/abs/2106.09685>): the
-/// network's own weights stay as they are, and the layers named train a change of rank
+/// network's own weights are frozen; selected layers train a weight change of rank
 /// [`rank`](Self::rank).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LoraConfig {
-    /// Rank of the change of each weight.
+    /// Rank of each weight change.
     pub rank: usize,
-    /// The change is scaled by `alpha / rank`.
+    /// The weight change is scaled by `alpha / rank`.
     pub alpha: f64,
     /// Layers that get an adapter.
     pub targets: Vec<LoraTarget>,
@@ -67,7 +67,7 @@ pub trait Adaptable: Sized {
     fn merge_adapter(self) -> Self;
 }
 
-/// A change of a network's adapters, at one place of its tree; [`at`](Self::at) descends.
+/// A change of a network's adapters, at one node of the module tree; [`at`](Self::at) descends.
 pub enum Adapting<'a> {
     /// Adds new adapters to the layers of the config.
     Attach(&'a LoraConfig, Initializer),
@@ -76,7 +76,7 @@ pub enum Adapting<'a> {
 }
 
 impl Adapting<'_> {
-    /// The change for the place `name` below this one.
+    /// The change for the child `name` of this node.
     pub fn at(&self, name: &str) -> Self {
         match self {
             Self::Attach(config, init) => Self::Attach(config, init.at(name)),
@@ -84,7 +84,7 @@ impl Adapting<'_> {
         }
     }
 
-    /// Applies the change to the layer `name` below this place.
+    /// Applies the change to the child layer `name`.
     pub fn layer<L: Adaptable>(&self, target: LoraTarget, name: &str, layer: L) -> L {
         match self {
             Self::Attach(config, init) if config.targets.contains(&target) => {

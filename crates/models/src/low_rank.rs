@@ -1,7 +1,7 @@
 //! The low-rank change of one layer's weight (Hu et al. 2021, <https://arxiv.org/abs/2106.09685>).
 //!
-//! Burn's `LoraAdapter` covers weights of two dimensions only, not convolutions, and names its
-//! factors below the weight instead of beside it.
+//! Burn's `LoraAdapter` supports only two-dimensional weights, not convolutions. Its factors are
+//! children of the weight in the module tree, not siblings.
 
 use burn::module::{Module, Param};
 use burn::tensor::Tensor;
@@ -42,9 +42,9 @@ impl LowRank {
         weight + change.reshape(shape)
     }
 
-    /// The sum of weight and change, as a frozen parameter.
+    /// The sum of the weight and the change, as a frozen parameter.
     pub fn merge<const D: usize>(self, weight: Param<Tensor<D>>) -> Param<Tensor<D>> {
-        // Without gradients, so that no graph outlives the sum.
+        // Without gradients no graph outlives the sum.
         let change = self.no_grad();
         weight
             .set_require_grad(false)
@@ -71,7 +71,7 @@ mod tests {
         Initializer::new(4, &Device::flex().autodiff())
     }
 
-    /// The layer with a nonzero `b` in its adapter.
+    /// The layer with an adapter whose `b` is nonzero.
     fn disturbed<M: Module>(layer: M) -> M {
         parameters::update(layer, |index, values| {
             for (i, value) in values.iter_mut().enumerate() {
@@ -86,8 +86,8 @@ mod tests {
         Tensor::from_data(TensorData::new(values, shape), &Device::flex().autodiff())
     }
 
-    /// Gradients of a frozen layer with an adapter against central differences. The loss is
-    /// quadratic in each single element, so differences over any distance are exact.
+    /// Compares the gradients of a frozen layer with an adapter to central differences. The loss is
+    /// quadratic in each element, so differences over any distance are exact.
     fn check_gradients<M: Module>(layer: M, loss: impl Fn(&M) -> Tensor<1>) {
         let mut tracked = loss(&layer).backward();
         let gradients = crate::gradients(&layer, &mut tracked);

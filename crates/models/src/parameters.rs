@@ -1,6 +1,6 @@
 //! Parameters by state-dict name: counting, reading, loading and updates in place.
 //!
-//! All functions have the order of the module tree: index `i` means the same parameter in each.
+//! All functions use the order of the module tree: index `i` is the same parameter everywhere.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -39,7 +39,7 @@ pub struct HostParameter {
     pub values: Vec<f32>,
 }
 
-/// Names and shapes of all parameters; initialises none.
+/// Names and shapes of all parameters, without initializing them.
 pub fn infos<M: Module>(module: &M) -> Vec<ParameterInfo> {
     #[derive(Default)]
     struct Visitor {
@@ -47,7 +47,7 @@ pub fn infos<M: Module>(module: &M) -> Vec<ParameterInfo> {
         infos: Vec<ParameterInfo>,
     }
     impl ModuleVisitor for Visitor {
-        /// Maps field names as in [`crate::layers`]; an enum's variant is not part of a name.
+        /// Maps field names as described in [`crate::layers`]; enum variants are not part of names.
         fn enter_module(&mut self, name: &str, container: &str) {
             let nameless = name.starts_with("flat_") || container.starts_with("Enum:");
             let name = if nameless { "" } else { name };
@@ -70,7 +70,8 @@ pub fn infos<M: Module>(module: &M) -> Vec<ParameterInfo> {
     visitor.infos
 }
 
-/// True for trained parameters, false for frozen ones, also on a plain device; initialises all.
+/// True for trained and false for frozen parameters, also on a plain device. Initializes all
+/// parameters.
 pub fn trainable<M: Module>(module: &M) -> Vec<bool> {
     struct Visitor(Vec<bool>);
     impl ModuleVisitor for Visitor {
@@ -83,7 +84,7 @@ pub fn trainable<M: Module>(module: &M) -> Vec<bool> {
     visitor.0
 }
 
-/// Burn shows the setting of a parameter only in the result of `train`.
+/// Burn shows this setting of a parameter only after `train`.
 fn is_trainable<const D: usize>(param: &Param<Tensor<D>>) -> bool {
     param.valid().train().is_require_grad()
 }
@@ -113,13 +114,13 @@ pub fn values<M: Module>(module: &M) -> Vec<Vec<f32>> {
     parameters.map(|parameter| parameter.values).collect()
 }
 
-/// Number of elements of all parameters; initialises none.
+/// Number of elements of all parameters, without initializing them.
 pub fn count<M: Module>(module: &M) -> usize {
     infos(module).iter().map(ParameterInfo::len).sum()
 }
 
-/// All differences of the `found` parameters from the `expected` ones: missing, of another shape,
-/// or not known.
+/// All differences of the `found` parameters from the `expected` ones: missing names, different
+/// shapes, and unknown names.
 pub fn differences(expected: &[ParameterInfo], found: &[ParameterInfo]) -> Vec<String> {
     let mut found: BTreeMap<&str, &[usize]> = found
         .iter()
@@ -138,8 +139,8 @@ pub fn differences(expected: &[ParameterInfo], found: &[ParameterInfo]) -> Vec<S
     differences
 }
 
-/// Replaces every parameter by the one of its name in `weights`, whose names and shapes must be
-/// exactly those of the module.
+/// Replaces every parameter by its namesake in `weights`. Names and shapes must be exactly those of
+/// the module.
 ///
 /// # Errors
 /// [`Error::Weights`] with all [`differences`].
@@ -160,7 +161,7 @@ pub fn load<M: Module>(module: M, weights: Vec<HostParameter>) -> Result<M, Erro
     Ok(replace(module, ordered.expect("all names were compared")))
 }
 
-/// Replaces the values of all parameters, in the module's order. Frozen ones stay frozen.
+/// Replaces the values of all parameters, in the module's order. Frozen parameters stay frozen.
 pub fn replace<M: Module>(module: M, values: Vec<Vec<f32>>) -> M {
     struct Mapper(std::vec::IntoIter<Vec<f32>>);
     impl ModuleMapper for Mapper {
@@ -175,9 +176,10 @@ pub fn replace<M: Module>(module: M, values: Vec<Vec<f32>>) -> M {
     module.map(&mut Mapper(values.into_iter()))
 }
 
-/// Changes the values of every trained parameter in place; `change` gets its index among all.
+/// Changes the values of every trained parameter in place. `change` gets the index among all
+/// parameters.
 ///
-/// On the CPU the values are not copied if the module has no other clone.
+/// On the CPU the values are not copied if the module has no clones.
 pub fn update<M: Module>(module: M, mut change: impl FnMut(usize, &mut [f32])) -> M {
     map(module, |index, row| {
         let device = row.device();
@@ -187,8 +189,8 @@ pub fn update<M: Module>(module: M, mut change: impl FnMut(usize, &mut [f32])) -
     })
 }
 
-/// Replaces the values of every trained parameter, one row on its device, by the result of
-/// `change`, which gets its index among all.
+/// Replaces the values of every trained parameter by the result of `change`. `change` gets the
+/// index among all parameters, and one row on the device.
 pub fn map<M: Module>(module: M, change: impl FnMut(usize, Tensor<1>) -> Tensor<1>) -> M {
     struct Mapper<F> {
         change: F,

@@ -14,7 +14,7 @@ use crate::{Dropout, DropoutKey, Initializer};
 pub struct ResBlockConfig {
     /// Width of the time embedding.
     pub time_embed_dim: usize,
-    /// Apply the timestep as scale and shift after the second normalisation (FiLM) instead of
+    /// Apply the time embedding as scale and shift after the second normalization (FiLM) instead of
     /// adding it before.
     pub use_scale_shift_norm: bool,
     /// Dropout before the second convolution.
@@ -43,7 +43,7 @@ pub struct ResBlock {
 }
 
 impl ResBlock {
-    /// A block from `inputs` to `outputs` channels; `layer` is the number of its dropout.
+    /// A block from `inputs` to `outputs` channels; `layer` is the index of the dropout layer.
     pub fn new(
         inputs: usize,
         outputs: usize,

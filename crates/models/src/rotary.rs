@@ -2,15 +2,16 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 
-/// Rotates channels of each head by the frame's position, so that the product of a query and a key
-/// depends on the distance of their frames alone:
+/// Rotates channels of each head by the frame's position. The product of a query and a key then
+/// depends only on the distance between their frames:
 ///
 /// ```text
 /// [a_i | b_i] -> [a_i cos(t f_i) - b_i sin(t f_i) | a_i sin(t f_i) + b_i cos(t f_i)]
 /// f_i = 10000^(-i / h)
 /// ```
 ///
-/// `a` and `b` are the halves of the first `2 h` channels of a head; the others are not rotated.
+/// `a` and `b` are the halves of the first `2 h` channels of a head. The other channels are not
+/// rotated.
 #[derive(Clone, Debug)]
 pub struct Rotation {
     /// Rotated channels of a head.
@@ -21,11 +22,11 @@ pub struct Rotation {
 }
 
 impl Rotation {
-    /// Rotates the first `channels` (even) of each head in the motions of a batch whose entry in
-    /// `turns` is true; a single entry applies to all.
+    /// Rotates the first `channels` (even) channels of each head, in the motions with a true entry
+    /// in `turns`. A single entry applies to all motions.
     pub fn new(channels: usize, time: usize, turns: &[bool], device: &Device) -> Self {
         let half = channels / 2;
-        // In double precision on the host, as the embedding of timesteps.
+        // Computed in double precision on the host, like the timestep embedding.
         let frequencies = (0..half).map(|i| 10_000f64.powf(-(i as f64) / half as f64));
         let frequencies: Vec<f64> = frequencies.collect();
         let angles: Vec<f64> = (0..time)
@@ -56,7 +57,7 @@ impl Rotation {
     pub fn turn(&self, x: Tensor<3>, num_heads: usize) -> Tensor<3> {
         let [batch, channels, time] = x.dims();
         let (head, half) = (channels / num_heads, self.channels / 2);
-        // A frame's channels are contiguous in memory, as kernels write them.
+        // Kernels write the channels of a frame contiguously in memory.
         let heads = x.swap_dims(1, 2).reshape([batch, time, num_heads, head]);
         let part = |first, count| heads.clone().narrow(3, first, count);
         let (a, b) = (part(0, half), part(half, half));
@@ -88,7 +89,7 @@ mod tests {
 
     const HEADS: usize = 3;
 
-    /// The same vector of 2 heads' worth of channels in every frame.
+    /// The same vector `values` in every frame.
     fn constant(values: &[f32], time: usize) -> Tensor<3> {
         let repeated: Vec<f32> = values.iter().flat_map(|&v| vec![v; time]).collect();
         let data = TensorData::new(repeated, [1, values.len(), time]);

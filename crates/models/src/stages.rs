@@ -4,9 +4,9 @@ use std::fmt::Arguments;
 
 use burn::tensor::Tensor;
 
-/// Receives the output of each stage of a forward pass. The empty tuple ignores them at no cost.
+/// Receives the output of each stage of a forward pass. The empty tuple ignores outputs at no cost.
 pub trait Stages {
-    /// Called with the `name` of a stage and a closure that returns its output.
+    /// Receives the `name` of a stage and a closure that returns the stage's output.
     fn stage<const D: usize>(&mut self, name: Arguments<'_>, output: impl FnOnce() -> Tensor<D>);
 }
 

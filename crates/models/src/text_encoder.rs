@@ -1,5 +1,5 @@
 //! The text encoder of CLIP (Radford et al. 2021, "Learning Transferable Visual Models From Natural
-//! Language Supervision", <https://arxiv.org/abs/2103.00020>, section 2.4). It is not trained here.
+//! Language Supervision", <https://arxiv.org/abs/2103.00020>, section 2.4), never trained here.
 //!
 //! Parameters have the names and layouts of `CLIPTextModelWithProjection` of the Python package
 //! `transformers`.
@@ -15,14 +15,14 @@ use crate::Initializer;
 use crate::config::{MAX_LAYERS, MAX_WIDTH};
 use crate::layers::{Embedding, LAYER_NORM_EPS, LayerNorm, Linear};
 
-/// The largest vocabulary: a token is two bytes.
+/// The largest vocabulary size: a token has two bytes.
 const MAX_TOKENS: usize = 1 << 16;
 
 /// The activation between the two linear maps of a layer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Activation {
-    /// `x sigmoid(1.702 x)`, as in the weights of OpenAI.
+    /// `x sigmoid(1.702 x)`, as used by OpenAI's weights.
     #[default]
     QuickGelu,
     /// The exact GELU.
@@ -38,8 +38,8 @@ impl Activation {
     }
 }
 
-/// The sizes of a [`ClipTextModel`]: `text_config` of the published `config.json`, by default those
-/// of ViT-B/32. Other keys are ignored.
+/// The sizes of a [`ClipTextModel`], as in `text_config` of the published `config.json`. Defaults
+/// are the sizes of ViT-B/32. Other keys are ignored.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct ClipTextConfig {
@@ -53,13 +53,13 @@ pub struct ClipTextConfig {
     pub num_hidden_layers: usize,
     /// Attention heads.
     pub num_attention_heads: usize,
-    /// The most tokens of a text.
+    /// Maximum number of tokens of a text.
     pub max_position_embeddings: usize,
     /// Width of the embedding of a text.
     pub projection_dim: usize,
     /// The activation of the layers.
     pub hidden_act: Activation,
-    /// Epsilon of the layer normalisations.
+    /// Epsilon of the layer normalizations.
     pub layer_norm_eps: f64,
 }
 
@@ -105,7 +105,7 @@ impl ClipTextConfig {
         require(eps == LAYER_NORM_EPS, "layer_norm_eps", eps, LAYER_NORM_EPS)
     }
 
-    /// Builds the network; parameters are initialised at their first use.
+    /// Builds the network; parameters are initialized at first use.
     ///
     /// # Errors
     /// As [`validate`](Self::validate).
@@ -134,7 +134,7 @@ impl ClipTextConfig {
     }
 }
 
-/// The text encoder. Should be created with [`ClipTextConfig::init`].
+/// The text encoder, created by [`ClipTextConfig::init`].
 ///
 /// ```text
 /// h_i   = token_embedding(token i) + position_embedding(i)
@@ -142,7 +142,7 @@ impl ClipTextConfig {
 /// text  = text_projection(final_layer_norm(h) at the end of the text)
 /// ```
 ///
-/// A token attends to itself and those before it.
+/// A token attends to itself and to earlier tokens.
 #[derive(Module, Debug)]
 pub struct ClipTextModel {
     text_model_at_embeddings_at_token_embedding: Embedding,
@@ -156,11 +156,11 @@ impl ClipTextModel {
     /// The embeddings of texts of any lengths.
     ///
     /// # Shapes
-    /// - texts: the tokens of each text, including those of its start and end
+    /// - texts: the tokens of each text, including its start and end tokens
     /// - output: `[batch, projection_dim]`
     ///
     /// # Panics
-    /// Panics if there is no text, or a text has no token, too many, or unknown ones.
+    /// Panics if `texts` is empty, or a text has no tokens, too many tokens, or unknown tokens.
     pub fn forward(&self, texts: &[&[u16]], device: &Device) -> Tensor<2> {
         let batch = texts.len();
         let length = texts.iter().map(|tokens| tokens.len()).max().unwrap_or(0);

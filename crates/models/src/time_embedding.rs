@@ -11,7 +11,7 @@ use crate::layers::Linear;
 /// Rows of the sinusoid table of width `dim` (even): column `2i` is `sin(t f_i)` and column
 /// `2i + 1` is `cos(t f_i)` with `f_i = 10000^(-2i / dim)`.
 ///
-/// Computed on the host in double precision, because arguments are as large as 999.
+/// Computed on the host in double precision, because arguments reach 999.
 ///
 /// # Shapes
 /// - output: `[batch, dim]`
@@ -37,8 +37,8 @@ fn position_row(position: f64, dim: usize) -> impl Iterator<Item = f32> {
 /// The sinusoidal embedding of times: `[cos(t f_0) .. cos(t f_{h-1}) | sin(t f_0) ..
 /// sin(t f_{h-1})]` with `f_i = 10000^(-i / h)` and `h = dim / 2`.
 ///
-/// Computed on the host in double precision: in single precision the argument alone is wrong by
-/// 3e-5 at t = 999.
+/// Computed on the host in double precision: in single precision the argument has an error of 3e-5
+/// at t = 999.
 ///
 /// # Shapes
 /// - output: `[batch, dim]`
@@ -60,8 +60,8 @@ pub fn sinusoidal(time: &[Time], dim: usize, device: &Device) -> Tensor<2> {
     Tensor::from_data(TensorData::new(values, [time.len(), 2 * half]), device)
 }
 
-/// Sinusoidal embedding, linear, SiLU, linear: the input of every residual block (CC-MotionGen,
-/// section 3.1.2; docs/sources.md, section 1.5).
+/// Sinusoidal embedding, linear, SiLU, linear. The output is an input of every residual block
+/// (CC-MotionGen, section 3.1.2; docs/sources.md, section 1.5).
 #[derive(Module, Debug)]
 pub struct TimeEmbedding {
     at_0: Linear,

@@ -79,8 +79,8 @@ pub fn integrate<const D: usize>(
 /// Generates one pose or motion per sample of the start noise along a network's velocity.
 ///
 /// The device and the network's weights must be plain, as for [`sample`](crate::sample). For
-/// conversion to a velocity, t is clamped: at least [`NEAREST_END`] for predicted noise, at most `1
-/// - NEAREST_END` for predicted data.
+/// conversion to a velocity, t keeps a distance of [`NEAREST_END`] from 0 for predicted noise, and
+/// from 1 for predicted data.
 ///
 /// # Shapes
 /// - noise, standard normal, and the result: `[batch, channels, time]`

@@ -3,7 +3,7 @@
 use burn::tensor::{Tensor, TensorData};
 use kinegrad_settings::{InvalidSetting, Refused, require};
 
-/// Bounds of the predicted clean motion, in the network's units (normalised motion).
+/// Bounds of the predicted clean motion, in the network's units (normalized motion).
 ///
 /// The source clips to [-1, 1] (CC-MotionGen, sections 3.2.4 and 8.1; docs/sources.md, sections 1.3
 /// and 1.9). Some channels of real motion exceed that range by far. Bounds per channel from

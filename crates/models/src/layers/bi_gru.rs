@@ -4,10 +4,10 @@ use kinegrad_kernels::{Direction, Lengths, gru, linear};
 
 use crate::Initializer;
 
-/// A gated recurrent unit ([`gru`]) in both directions, or in one ([`forwards`](Self::forwards)),
-/// with `inputs = weight_ih x + bias_ih`.
+/// A gated recurrent unit ([`gru`]) with `inputs = weight_ih x + bias_ih`, in both directions or
+/// only forward ([`forwards`](Self::forwards)).
 ///
-/// Names and layouts are those of torch's bidirectional `GRU` of one layer: weights `[3 state, in]`
+/// Names and layouts are torch's for a bidirectional `GRU` of one layer: weights `[3 state, in]`
 /// and `[3 state, state]`, biases `[3 state]`.
 #[derive(Module, Debug)]
 pub struct BiGru {
@@ -50,8 +50,8 @@ impl BiGru {
         }
     }
 
-    /// The states of each sequence, its first `lengths[i]` steps; the backward direction begins at
-    /// the last of them.
+    /// The states over the first `lengths[i]` steps of sequence i. The backward direction begins at
+    /// the last of these steps.
     ///
     /// # Shapes
     /// - x: `[batch, in, time]`, `lengths` from 1 to `time`
@@ -116,12 +116,13 @@ impl BiGru {
 /// The output of a [`BiGru`].
 #[derive(Clone, Debug)]
 pub struct GruStates {
-    /// After each step forward: `[time, batch, state]`.
+    /// The state after each step forward: `[time, batch, state]`.
     pub forward: Tensor<3>,
-    /// After each step backward, if the layer has this direction: `[time, batch, state]`.
+    /// The state after each step backward, if the layer has a backward direction: `[time, batch,
+    /// state]`.
     pub backward: Option<Tensor<3>>,
-    /// After the last step of each sequence forward, then after its first step backward: `[batch, 2
-    /// state]`, or `[batch, state]` without that direction.
+    /// The final states of each sequence, forward then backward: `[batch, 2 state]`, or `[batch,
+    /// state]` without a backward direction.
     pub last: Tensor<2>,
 }
 

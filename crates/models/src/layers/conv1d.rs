@@ -21,7 +21,7 @@ impl Conv1d {
         Self::strided(inputs, outputs, kernel_size, 1, init)
     }
 
-    /// A convolution of `time` frames to `ceil(time / stride)` with an odd kernel, and to
+    /// A convolution that maps `time` frames to `ceil(time / stride)` with an odd kernel, and to
     /// `floor(time / 2)` with a kernel of 4 and stride 2.
     pub fn strided(
         inputs: usize,

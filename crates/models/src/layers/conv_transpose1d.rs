@@ -15,10 +15,10 @@ pub struct ConvTranspose1d {
 }
 
 impl ConvTranspose1d {
-    /// A convolution of `time` frames to `2 time`: kernel 4, stride 2, padding 1.
+    /// A convolution that maps `time` frames to `2 time`: kernel 4, stride 2, padding 1.
     pub fn doubling(channels: usize, init: &Initializer) -> Self {
         const KERNEL: usize = 4;
-        // PyTorch computes the fan-in from the second axis, which here are the outputs.
+        // PyTorch computes the fan-in from the second axis, here the outputs.
         let fan_in = channels * KERNEL;
         Self {
             weight: init.uniform("weight", [channels, channels, KERNEL], fan_in),

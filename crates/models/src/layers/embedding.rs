@@ -3,21 +3,21 @@ use burn::tensor::{Int, Tensor};
 
 use crate::Initializer;
 
-/// A learned row for each of a fixed number of things: weight `[things, features]`, as in torch.
+/// One learned row per entry: weight `[things, features]`, as in torch.
 #[derive(Module, Debug)]
 pub struct Embedding {
     weight: Param<Tensor<2>>,
 }
 
 impl Embedding {
-    /// `things` rows of `features`, initialised like a linear layer of so many inputs.
+    /// `things` rows of `features`, initialized like a linear layer with `features` inputs.
     pub fn new(things: usize, features: usize, init: &Initializer) -> Self {
         Self {
             weight: init.uniform("weight", [things, features], features),
         }
     }
 
-    /// The rows of `captions` captions: `embed_captions` in `init`, of variance 1.
+    /// `captions` rows with variance 1, one per caption, at `embed_captions` in `init`.
     pub fn of_captions(captions: usize, features: usize, init: &Initializer) -> Self {
         let init = init.at("embed_captions");
         Self {
@@ -25,7 +25,7 @@ impl Embedding {
         }
     }
 
-    /// The sum of all rows, each times its share.
+    /// The sum of all rows, weighted by `shares`.
     ///
     /// # Shapes
     /// - shares: `[rows, things]`

@@ -8,14 +8,15 @@ use serde::{Deserialize, Serialize};
 use super::{LayerNorm, Linear};
 use crate::{Dropout, DropoutKey, Initializer};
 
-/// Where a layer of a transformer normalises.
+/// Place of the normalizations in a transformer layer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum NormOrder {
-    /// Each sum: `norm(x + f(x))` (Vaswani et al. 2017, <https://arxiv.org/abs/1706.03762>).
+    /// Normalizes each residual sum: `norm(x + f(x))` (Vaswani et al. 2017,
+    /// <https://arxiv.org/abs/1706.03762>).
     #[default]
     Post,
-    /// Each part's input: `x + f(norm(x))` (Xiong et al. 2020,
+    /// Normalizes each sublayer's input: `x + f(norm(x))` (Xiong et al. 2020,
     /// <https://arxiv.org/abs/2002.04745>).
     Pre,
 }
@@ -29,26 +30,26 @@ pub struct EncoderLayerConfig {
     pub num_heads: usize,
     /// Width between the two linear maps.
     pub ff_size: usize,
-    /// Place of the normalisations.
+    /// Place of the normalizations.
     pub norm: NormOrder,
-    /// Dropout in training, as in PyTorch: of the attention weights, of the outputs of attention
-    /// and linear maps, and between the linear maps.
+    /// Dropout in training, as in PyTorch. It acts on the attention weights, on the outputs of
+    /// attention and linear maps, and between the linear maps.
     pub dropout: f64,
 }
 
-/// Dropouts of a layer.
+/// Number of dropouts in a layer.
 const DROPOUTS: usize = 4;
 
 impl EncoderLayerConfig {
-    /// Builds layer `index` of a network; parameters are initialised at their first use.
+    /// Builds layer `index` of a network; parameters are initialized at first use.
     pub fn init(&self, index: usize, init: &Initializer) -> EncoderLayer {
         let width = self.width;
         let dropout = |number| Dropout::new(self.dropout, index * DROPOUTS + number);
         let attention = init.at("self_attn");
         EncoderLayer {
             self_attn: SelfAttention {
-                // Xavier's bound for `width` inputs and `3 width` outputs, and biases of zero, as
-                // in `nn.MultiheadAttention`.
+                // As in `nn.MultiheadAttention`: Xavier's bound for `width` inputs and `3 width`
+                // outputs, and zero biases.
                 in_proj_weight: attention.bounded(
                     "in_proj_weight",
                     [3 * width, width],
@@ -100,11 +101,11 @@ impl SelfAttention {
     }
 }
 
-/// [`self_attention`] whose weights are multiplied by a mask.
+/// [`self_attention`] with attention weights multiplied by a mask.
 ///
 /// # Shapes
 /// - queries_keys_values: `[batch, 3 width, tokens]`
-/// - mask: `[batch, heads, tokens, tokens]`: of a query for each key
+/// - mask: `[batch, heads, tokens, tokens]`, queries by keys
 /// - output: `[batch, width, tokens]`
 fn masked_attention(
     queries_keys_values: Tensor<3>,
@@ -121,8 +122,8 @@ fn masked_attention(
     product(values, weights.swap_dims(2, 3)).reshape([batch, all / 3, tokens])
 }
 
-/// A layer of PyTorch's `nn.TransformerEncoder` with its names: attention, then two linear maps
-/// with GELU between them, both with a residual connection.
+/// A layer of PyTorch's `nn.TransformerEncoder`, with its names: attention, then two linear maps
+/// with a GELU, each with a residual connection.
 ///
 /// ```text
 /// post   h = norm1(x + attention(x))    y = norm2(h + linear2(gelu(linear1(h))))
@@ -218,7 +219,7 @@ mod tests {
         for norm in [NormOrder::Post, NormOrder::Pre] {
             let whole = answer(norm, 0.3, None);
             assert_eq!(answer(norm, 0.0, key(1)), whole);
-            // So rare that no element is dropped: masked attention gives the same result.
+            // At this probability no element is dropped: masked attention gives the same result.
             let rare = answer(norm, 1e-12, key(1));
             let near = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-5);
             assert!(near(&rare, &whole));

@@ -4,14 +4,14 @@ use kinegrad_kernels as kernels;
 
 use crate::Initializer;
 
-/// Groups of every normalisation of the audio-conditioned UNet (CC-MotionGen, section 3.1.3;
-/// docs/sources.md, section 1.5).
+/// Number of groups of all normalizations of the audio-conditioned UNet (CC-MotionGen, section
+/// 3.1.3; docs/sources.md, section 1.5).
 pub const GROUPS: usize = 32;
 
 /// Added to the variance.
 pub const GROUP_NORM_EPS: f64 = 1e-5;
 
-/// Normalises each group of channels over channels and time (biased variance), then scales and
+/// Normalizes each group of channels over channels and time (biased variance), then scales and
 /// shifts each channel: weight and bias `[channels]`.
 #[derive(Module, Debug)]
 pub struct GroupNorm {
@@ -21,7 +21,7 @@ pub struct GroupNorm {
 }
 
 impl GroupNorm {
-    /// A normalisation of `channels`, which must be a multiple of `groups`.
+    /// A normalization of `channels` channels, a multiple of `groups`.
     pub fn new(channels: usize, groups: usize, init: &Initializer) -> Self {
         Self {
             weight: init.constant([channels], 1.0),
@@ -30,7 +30,7 @@ impl GroupNorm {
         }
     }
 
-    /// The normalisation as an operation that can be fused with others.
+    /// The normalization as an operation that can be fused with others.
     pub fn operation(&self) -> kernels::GroupNorm {
         kernels::GroupNorm::new(
             self.weight.val(),

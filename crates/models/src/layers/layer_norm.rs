@@ -7,7 +7,7 @@ use crate::Initializer;
 /// Added to the variance.
 pub const LAYER_NORM_EPS: f64 = 1e-5;
 
-/// Normalises each row over its features (biased variance), then scales and shifts each feature:
+/// Normalizes each row over its features (biased variance), then scales and shifts each feature:
 /// weight and bias `[features]`.
 #[derive(Module, Debug)]
 pub struct LayerNorm {
@@ -16,7 +16,7 @@ pub struct LayerNorm {
 }
 
 impl LayerNorm {
-    /// A normalisation of rows of `features`.
+    /// A normalization of rows of `features`.
     pub fn new(features: usize, init: &Initializer) -> Self {
         Self {
             weight: init.constant([features], 1.0),
@@ -30,7 +30,7 @@ impl LayerNorm {
         layer_norm(x, self.weight.val(), self.bias.val(), LAYER_NORM_EPS)
     }
 
-    /// Normalises each token over its channels.
+    /// Normalizes each token over its channels.
     ///
     /// # Shapes
     /// - x, output: `[batch, features, tokens]`

@@ -69,8 +69,8 @@ impl Linear {
         Convolution::new(weight, 1).bias(self.bias.val())
     }
 
-    /// [`forward_frames`](Self::forward_frames) of the inputs `own` and `shared`; all frames of a
-    /// sample share the latter, which is multiplied once.
+    /// [`forward_frames`](Self::forward_frames) of the concatenated inputs `own` and `shared`. All
+    /// frames of a sample have the same `shared`, which is multiplied once.
     ///
     /// # Shapes
     /// - own: `[batch, some, time]`
@@ -80,13 +80,13 @@ impl Linear {
         let [batch, some, time] = own.dims();
         let shared = linear(shared, self.columns(some..self.inputs()), self.bias.val());
         let [_, outputs] = shared.dims();
-        // By frames, then channels: its gradient is summed faster.
+        // The gradient of this layout (frames, then channels) is summed faster.
         let shared = shared.unsqueeze_dim::<3>(1).expand([batch, time, outputs]);
         self.forward_own(own, shared)
     }
 
-    /// [`forward_frames_sharing`](Self::forward_frames_sharing) in which each frame has the row of
-    /// `cond` with its index in `rows`.
+    /// [`forward_frames_sharing`](Self::forward_frames_sharing) with one row of `cond` per frame;
+    /// `rows` are the indices.
     ///
     /// # Shapes
     /// - own: `[batch, some, time]`
@@ -105,7 +105,7 @@ impl Linear {
         self.forward_own(own, cond)
     }
 
-    /// `others`, `[batch, time, out]`, plus the part of the first inputs.
+    /// `others`, `[batch, time, out]`, plus the output of the first inputs, `own`.
     fn forward_own(&self, own: Tensor<3>, others: Tensor<3>) -> Tensor<3> {
         let [_, some, _] = own.dims();
         Convolution::new(self.columns(0..some).unsqueeze_dim(2), 1)
@@ -113,7 +113,7 @@ impl Linear {
             .forward(own)
     }
 
-    /// The weight of some inputs: `[out, inputs]`.
+    /// The columns of the weight for `inputs`: `[out, inputs]`.
     pub fn columns(&self, inputs: Range<usize>) -> Tensor<2> {
         let count = inputs.len();
         self.effective_weight().narrow(1, inputs.start, count)

@@ -1,7 +1,7 @@
 //! Layers with PyTorch's parameter names and weight layouts.
 //!
-//! [`crate::parameters`] maps field names to state-dict names: `at_n` to `n`, for child `n` of a
-//! torch `Sequential`, and `a_at_b` to `a.b`. A field `flat_x` is not part of a name.
+//! [`crate::parameters`] maps field names to state-dict names. `at_n` becomes `n`, for child `n` of
+//! a torch `Sequential`; `a_at_b` becomes `a.b`. A field `flat_x` is not part of a name.
 
 mod bi_gru;
 mod conv1d;
