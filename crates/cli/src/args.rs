@@ -108,7 +108,7 @@ impl Arguments {
     }
 }
 
-/// The command with readable errors for numbers; `-1` after an option that takes a number is its value.
+/// The command with readable errors for numbers. An option that takes a number accepts `-1`.
 fn with_numbers(command: Line) -> Line {
     let command = command.mut_args(|argument| {
         if !matches!(argument.get_action(), ArgAction::Set | ArgAction::Append) {

@@ -1,4 +1,4 @@
-//! The conditions of a request, from the options of the command line and of Python.
+//! The conditions of a request, from options of the command line or arguments in Python.
 
 use std::path::PathBuf;
 
@@ -18,8 +18,8 @@ pub struct ConditionArguments {
     /// Dataset that contains the item [default: the run's dataset]
     #[arg(long, value_name = "URI")]
     pub source: Option<String>,
-    /// Item of the dataset that gives the condition; `*` matches any text, and each match is written
-    /// to PATH-ID.npy
+    /// Dataset item that gives the condition; `*` matches any text, and each match writes
+    /// PATH-ID.npy
     #[arg(long, value_name = "ID", conflicts_with = "audio_features")]
     pub item: Option<String>,
     /// Audio features as the condition
@@ -48,14 +48,14 @@ pub struct ConditionArguments {
     /// Folder of CLIP ViT-B/32, which embeds the text
     #[arg(long, value_name = "DIR", requires = "text")]
     pub text_encoder: Option<PathBuf>,
-    /// Text embedding as the condition: 512 values in tensor KEY of a safetensors file, or row N of
-    /// it with KEY:N
+    /// Text embedding as the condition: 512 values in tensor KEY of a safetensors file; KEY:N
+    /// selects row N of the tensor
     #[arg(long, value_name = "FILE#KEY")]
     pub text_embedding: Option<String>,
     /// Joint positions `[T, J, 3]` in metres that the motion continues, for runs of recipe `flow`
     #[arg(long, value_name = "MOTION.npy")]
     pub history: Option<PathBuf>,
-    /// Texts one after another, each with its length, for runs of recipe `flow` or `bpe_motion`
+    /// Sequence of texts with their lengths, for runs of recipe `flow` or `bpe_motion`
     #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["text", "text_embedding"])]
     pub prompts: Option<PathBuf>,
     /// Path over the ground that the motion follows (.toml, .csv or .svg)
@@ -66,14 +66,15 @@ pub struct ConditionArguments {
     /// `tokens_warp`; phrases: `override` or `guidance`
     #[arg(long, value_name = "METHOD", requires = "path")]
     pub method: Option<String>,
-    /// Metres in a unit of a path that is a drawing
+    /// Meters per unit, if the path is a drawing
     #[arg(long, value_name = "METRES", requires = "path")]
     pub metres_per_unit: Option<f64>,
     /// Style, for runs with `model.style`: a label, such as `waltz`, or eight numbers separated by
     /// commas [default: none]
     #[arg(long, value_name = "STYLE", allow_hyphen_values = true)]
     pub style: Option<String>,
-    /// Phrase to continue: the sample begins with its last frames, a quarter of the training length
+    /// Phrase to continue; the sample begins with the phrase's end, a quarter of the training
+    /// length
     #[arg(long, value_name = "MOTION.npy", conflicts_with = "keep")]
     pub continue_from: Option<PathBuf>,
     /// Frames taken unchanged from `--keep-from`, for example 0..30,90..120 (without 30 and 120)
@@ -82,7 +83,7 @@ pub struct ConditionArguments {
     /// Phrase that contains the frames of `--keep`
     #[arg(long, value_name = "MOTION.npy", requires = "keep")]
     pub keep_from: Option<PathBuf>,
-    /// Number of held-out items as conditions, without an option.
+    /// Number of held-out items used as conditions; not an option.
     #[arg(skip)]
     pub held_out: Option<usize>,
     /// Condition of a system outside of kinegrad; the value is JSON, or text
@@ -94,8 +95,8 @@ impl ConditionArguments {
     /// The conditions.
     ///
     /// # Errors
-    /// [`Error::Usage`] for an argument without the one that it belongs to, or a bad value; if the
-    /// trajectory run has no checkpoint.
+    /// [`Error::Usage`] for a bad value, an argument without its required argument, or a trajectory
+    /// run without a checkpoint.
     pub fn conditions(self) -> Result<Vec<Condition>, Error> {
         self.must_belong()?;
         let mut conditions = Vec::new();
@@ -147,7 +148,7 @@ impl ConditionArguments {
         Ok(conditions)
     }
 
-    /// Rejects arguments without the one that they belong to.
+    /// Rejects arguments without their required argument, and conflicting arguments.
     fn must_belong(&self) -> Result<(), Error> {
         let beats = self.beats.known().given();
         let of_beats = beats.first().copied().unwrap_or("tempo");

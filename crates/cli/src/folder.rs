@@ -5,9 +5,9 @@ use std::path::Path;
 
 use kinegrad_train::Error;
 
-/// Creates a folder and its parents. Fails if it cannot be created.
+/// Creates a folder and its parents. Fails if a folder cannot be created.
 pub fn make(folder: &Path) -> Result<(), Error> {
-    // The parent of a file name alone is empty.
+    // A bare file name has an empty parent.
     if folder.as_os_str().is_empty() {
         return Ok(());
     }
@@ -24,7 +24,7 @@ pub fn make_for(file: &Path) -> Result<(), Error> {
     file.parent().map_or(Ok(()), make)
 }
 
-/// [`make_for`], and a test that a file can be written there.
+/// [`make_for`] that also fails if the file cannot be written.
 pub fn must_be_writable(file: &Path) -> Result<(), Error> {
     make_for(file)?;
     if file.is_dir() {

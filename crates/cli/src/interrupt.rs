@@ -3,14 +3,14 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// Locked while files are written; true while the work checks [`STOP`].
+/// Locked while files are written; true while the running work checks [`STOP`].
 static WRITING: Mutex<bool> = Mutex::new(false);
 
 /// A stop was requested.
 static STOP: AtomicBool = AtomicBool::new(false);
 
-/// Makes Ctrl-C end the process with exit code 130, once no file is being written, or stop
-/// [`stoppable`] work.
+/// Makes Ctrl-C stop [`stoppable`] work, or end the process with exit code 130 once no file is
+/// being written.
 pub fn end_between_files() {
     let handler = || {
         let stoppable = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
@@ -21,7 +21,7 @@ pub fn end_between_files() {
         tell!("\ninterrupted");
         std::process::exit(130);
     };
-    // Fails only if there is a handler already.
+    // Fails only if a handler is set already.
     let _ = ctrlc::set_handler(handler);
 }
 
@@ -31,7 +31,7 @@ pub fn not_during<T>(work: impl FnOnce() -> T) -> T {
     work()
 }
 
-/// Runs long work, which stops and cleans up soon after its argument returns true.
+/// Runs long work. The work stops and cleans up soon after its argument returns true.
 pub fn stoppable<T>(work: impl FnOnce(&dyn Fn() -> bool) -> T) -> T {
     let set = |on| *WRITING.lock().unwrap_or_else(PoisonError::into_inner) = on;
     set(true);

@@ -1,6 +1,6 @@
 //! The `kinegrad` command line, for any list of systems.
 //!
-//! All commands work for the systems of another program:
+//! All commands also work for the systems of another program:
 //!
 //! ```no_run
 //! use kinegrad_systems::BUILT_IN;
@@ -12,9 +12,9 @@
 //! }
 //! ```
 #![recursion_limit = "256"]
-// `say!` and `tell!` replace them: they do not panic on a closed pipe.
+// `say!` and `tell!` replace `println!` and `eprintln!`, which panic on a closed pipe.
 #![warn(clippy::print_stdout, clippy::print_stderr)]
-// An error moves once, at the end of a command, so its size does not matter.
+// An error moves once, at the end of a command, so the size of errors does not matter.
 #![allow(clippy::result_large_err)]
 
 #[macro_use]
@@ -65,8 +65,8 @@ pub fn run(
     done.unwrap_or_else(ranks::failed)
 }
 
-/// The error of an invalid command line, which one of several processes prints. A single process
-/// prints it and exits here, as after `--help`.
+/// The error of an invalid command line. A single process prints the error and exits here, as after
+/// `--help`; one of several processes prints the returned error.
 fn unread(error: clap::Error) -> Error {
     if !error.use_stderr() || !ranks::are_several() {
         error.exit();

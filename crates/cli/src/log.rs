@@ -8,7 +8,7 @@ use crate::output;
 /// Environment variable with levels by module, such as `kinegrad_train=debug`.
 const VARIABLE: &str = "RUST_LOG";
 
-/// Turns everything but errors off: another process prints the rest.
+/// Logs only errors from now on: another process prints the rest.
 pub fn be_silent() {
     ::log::set_max_level(::log::LevelFilter::Error);
 }
@@ -23,7 +23,7 @@ pub fn start(verbosity: VerbosityArgs) {
         false => "off",
     };
     let environment = env_logger::Env::default().filter_or(VARIABLE, default);
-    // Fails only if there is a logger already.
+    // Fails only if a logger is set already.
     let _ = env_logger::Builder::from_env(environment)
         .format(|out, record| {
             let level = record.level().as_str().to_lowercase();

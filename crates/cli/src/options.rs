@@ -1,27 +1,27 @@
-//! Options in messages of the libraries, as flags of the command line or arguments of Python.
+//! Renames options in the libraries' messages to command-line flags or Python arguments.
 
-/// Options whose flag is not their name.
+/// Options whose flag has a different name.
 const RENAMED: [(&str, &str); 2] = [("song", "audio"), ("trajectory", "trajectory_run")];
 
-/// The argument of Python with that name.
+/// The Python argument for an option.
 fn argument(name: &str) -> &str {
     let renamed = RENAMED.iter().find(|(known, _)| *known == name);
     renamed.map_or(name, |(_, argument)| argument)
 }
 
-/// `text` with each ``option `name ...` `` as the argument of Python.
+/// `text` with each ``option `name ...` `` as the Python argument.
 pub fn as_arguments(text: &str) -> String {
     replaced(text, |name| argument(name).to_string())
 }
 
-/// `text` with each ``option `name ...` `` as the flag of the command line.
+/// `text` with each ``option `name ...` `` as the command-line flag.
 pub fn as_flags(text: &str) -> String {
     replaced(text, |name| {
         format!("--{}", argument(name).replace('_', "-"))
     })
 }
 
-/// Both ``option `name` `` and `` `option name` `` in `text`, with the names as `shown`.
+/// `text` with the names in ``option `name` `` and `` `option name` `` replaced by `shown`.
 fn replaced(text: &str, shown: impl Fn(&str) -> String) -> String {
     let mut done = String::with_capacity(text.len());
     let mut rest = text;

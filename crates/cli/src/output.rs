@@ -13,8 +13,8 @@ use serde::Serialize;
 use crate::folder;
 use crate::options::as_flags;
 
-/// Prints a line of results to standard output. Unlike `println!` it does not panic on a closed pipe,
-/// as in `kinegrad ... | head`.
+/// Prints a line of results to standard output. Unlike `println!`, the macro does not panic on a
+/// closed pipe, as in `kinegrad ... | head`.
 macro_rules! say {
     ($($text:tt)*) => { $crate::output::result(format_args!($($text)*)) };
 }
@@ -45,7 +45,7 @@ pub fn be_quiet() {
 /// Only errors are printed.
 static SILENT: AtomicBool = AtomicBool::new(false);
 
-/// Turns everything but errors off: another rank prints the rest.
+/// Prints only errors from now on: another rank prints the rest.
 pub fn be_silent() {
     be_quiet();
     SILENT.store(true, Ordering::Relaxed);
@@ -112,7 +112,7 @@ pub fn draw(panels: &[Panel], columns: usize, size: (u32, u32), out: &Path) -> R
     kinegrad_report::draw(panels, columns, size, out).map_err(unusable)
 }
 
-/// A library's error as one of the user's input.
+/// A library's error as an error of the user's input.
 pub fn unusable(error: impl Diagnostic) -> Error {
     let hint = error.help().map(|hint| hint.to_string());
     Error::usage(error.to_string(), hint.unwrap_or_default())

@@ -21,9 +21,9 @@ const PANEL: (u32, u32) = (420, 240);
 /// Curves beside the path of a motion without a body.
 const CURVES: usize = 3;
 
-/// Samples a checkpoint's averaged weights for the first held-out items, writes them as a page into
-/// the run's folder, and returns a picture of each. Fails if they cannot be sampled or written; no
-/// page is left then.
+/// Samples a checkpoint's averaged weights for the first held-out items, writes a page of the
+/// samples into the run's folder, and returns one picture per sample. Fails without leaving a page
+/// if sampling or writing fails.
 pub fn write(systems: Systems<'_>, checkpoint: &Path, step: u64) -> Result<Vec<Preview>, Error> {
     let saved = SavedCheckpoint::read(checkpoint)?;
     let trained = systems.trained(saved, &[], Weights::Ema, None)?;

@@ -24,8 +24,8 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// A flag that Ctrl-C sets, printing `message`, while `is_active` is set; a second Ctrl-C, or one
-/// before, ends the process.
+/// A flag that Ctrl-C sets. The first Ctrl-C while `is_active` is set prints `message`; any other
+/// Ctrl-C ends the process.
 pub fn stop_on_ctrl_c(message: &'static str, is_active: Arc<AtomicBool>) -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
@@ -35,7 +35,7 @@ pub fn stop_on_ctrl_c(message: &'static str, is_active: Arc<AtomicBool>) -> Arc<
         }
         tell!("\n{message}; again to stop at once");
     };
-    // Fails only if there is a handler already.
+    // Fails only if a handler is set already.
     let _ = ctrlc::set_handler(handler);
     stop
 }
@@ -116,7 +116,7 @@ fn spaced(word: &str) -> String {
     format!("{word}{end}")
 }
 
-/// A bar on standard error, if that is a terminal.
+/// A bar on standard error, hidden if standard error is not a terminal.
 pub fn bar(template: &str) -> ProgressBar {
     let style = ProgressStyle::with_template(template).expect("a valid template");
     let target = match output::is_quiet() {

@@ -10,8 +10,8 @@ use kinegrad_train::{Error, ProcessGroup};
 
 use crate::{log, output};
 
-/// The processes of this command. All but the first print nothing but errors. Fails if a launcher
-/// started several and this program cannot reach them.
+/// The processes of this command. Processes after the first print only errors. Fails if a launcher
+/// started several processes that this program cannot reach.
 pub fn process_group() -> Result<Rc<ProcessGroup>, Error> {
     let group = ProcessGroup::new(ranks()?);
     if !group.writes() {
@@ -21,8 +21,8 @@ pub fn process_group() -> Result<Rc<ProcessGroup>, Error> {
     Ok(group)
 }
 
-/// The outcome of a command of several processes or, if one failed and printed its error, the exit
-/// code of all. Collective. Returns the error of `outcome`, if there is one process.
+/// The outcome of a command on several processes. If a process failed, it prints its error, and all
+/// processes get its exit code. Collective. A single process gets the error of `outcome`.
 pub fn agreed<T>(
     group: &ProcessGroup,
     outcome: Result<T, Error>,
@@ -65,13 +65,13 @@ fn ranks() -> Result<Rc<dyn Ranks>, Error> {
     Err(Error::usage(message, hint))
 }
 
-/// Prints an error, once for all processes, and returns the exit code.
+/// Prints an error once for all processes, and returns the exit code.
 pub fn failed(error: Error) -> ExitCode {
     if are_several()
         && let Ok(group) = process_group()
         && group.ranks().size() > 1
     {
-        // The others may be running.
+        // Other processes may be running.
         let outcome: Result<(), Error> = group.report_failure(Err(error));
         return match agreed(&group, outcome) {
             Ok(Err(code)) => code,
@@ -124,12 +124,12 @@ fn share_cores(processes: usize) {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     if env::var_os("RAYON_NUM_THREADS").is_none() && processes > 1 {
         let pool = rayon::ThreadPoolBuilder::new().num_threads((cores / processes).max(1));
-        // Fails only if the pool is in use already.
+        // Fails only if the pool is in use.
         let _ = pool.build_global();
     }
 }
 
-/// Runs `work`; a panic ends the other processes too, which would wait for this one.
+/// Runs `work`. A panic ends all processes, because the others would wait for this process.
 pub fn guarded<T>(ranks: &dyn Ranks, work: impl FnOnce() -> T) -> T {
     if ranks.size() == 1 {
         return work();

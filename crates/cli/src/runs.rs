@@ -1,4 +1,4 @@
-//! Run folders: found, and read with their state and progress.
+//! Search for run folders, and their state and progress.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
@@ -10,7 +10,7 @@ use kinegrad_train::checkpoint::{Best, Checkpoints, State};
 use kinegrad_train::run::{PREVIEWS, SAMPLES, is_in_use};
 use kinegrad_train::{Config, Error, Systems};
 
-/// Folders of a run that contain no runs.
+/// Subfolders of a run that contain no runs.
 const INSIDE: [&str; 4] = ["checkpoints", "reports", SAMPLES, PREVIEWS];
 
 /// Depth of the search for runs.
@@ -25,19 +25,19 @@ const NAMED: usize = 4;
 /// The state of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RunStatus {
-    /// A process trains it.
+    /// A process is training the run.
     Training,
     /// All steps are done.
     Finished,
-    /// It ended early: the validation loss no longer fell.
+    /// Training ended early: the validation loss no longer fell.
     StoppedEarly,
-    /// It has a checkpoint to resume from.
+    /// The run has a checkpoint to resume from.
     Stopped,
-    /// It has no checkpoint yet.
+    /// The run has no checkpoint yet.
     NotStarted,
     /// Imported or merged weights.
     Weights,
-    /// Its config or its checkpoints cannot be read.
+    /// The run's config or its checkpoints cannot be read.
     Damaged,
 }
 
@@ -61,19 +61,19 @@ impl RunStatus {
 pub struct Run {
     pub folder: PathBuf,
     pub status: RunStatus,
-    /// Its problems, in one line.
+    /// Problems of the run, in one line.
     pub problem: Option<String>,
-    /// Its config, if one can be read.
+    /// The run's config, if readable.
     pub config: Option<Config>,
-    /// Name of its system.
+    /// Name of the run's system.
     pub system: Option<&'static str>,
-    /// Stages of its system.
+    /// Stages of the run's system.
     pub stages: &'static [&'static str],
-    /// Steps done; none if no checkpoint can be read.
+    /// Steps done; `None` if no checkpoint can be read.
     pub step: Option<u64>,
-    /// Its best validation.
+    /// The run's best validation.
     pub best: Option<Best>,
-    /// The newest checkpoint whose state can be read, and that state.
+    /// The newest checkpoint with a readable state, and the state.
     pub newest: Option<(PathBuf, State)>,
     /// Bytes on disk.
     pub bytes: u64,
@@ -82,7 +82,7 @@ pub struct Run {
 }
 
 impl Run {
-    /// Reads a run folder; errors go to [`problem`](Self::problem).
+    /// Reads a run folder; [`problem`](Self::problem) contains the errors.
     pub fn read(systems: Systems<'_>, folder: &Path) -> Self {
         let mut problem = None;
         let config = saved_config(systems, folder).unwrap_or_else(|error| {
@@ -91,7 +91,7 @@ impl Run {
         });
         let checkpoints = Checkpoints::of(folder);
         let (newest, damaged) = found(&checkpoints);
-        // An older checkpoint is enough to resume.
+        // A run can resume from an older checkpoint.
         let is_damaged = problem.is_some() || !damaged.is_empty() && newest.is_none();
         let unknown = newest.is_none() && !damaged.is_empty();
         problem = joined(problem.into_iter().chain(damaged));
@@ -124,7 +124,7 @@ impl Run {
             system: system.map(|(system, _)| system.name()),
             stages: system.map_or(&[], |(system, _)| system.stages()),
             config,
-            // A training is ahead of its checkpoints.
+            // A run in training is ahead of its checkpoints.
             step: last_step(&metrics).filter(|_| in_use).or(step),
             best: checkpoints.best(),
             newest,
@@ -134,13 +134,13 @@ impl Run {
         }
     }
 
-    /// Its recipe.
+    /// The run's recipe.
     pub fn recipe(&self) -> Option<&str> {
         let config = self.config.as_ref()?;
         Some(&config.train.recipe)
     }
 
-    /// Steps done and steps in all; `-` if unknown.
+    /// Steps done and total steps; `-` if unknown.
     pub fn steps(&self, number: impl Fn(u64) -> String) -> String {
         let done = self.step.map_or("-".to_string(), &number);
         match self.max_steps() {
@@ -149,21 +149,22 @@ impl Run {
         }
     }
 
-    /// Steps in all, for runs that are trained.
+    /// Total steps; `None` for imported or merged weights.
     pub fn max_steps(&self) -> Option<u64> {
         let config = self.config.as_ref()?;
         (self.status != RunStatus::Weights).then_some(config.train.max_steps)
     }
 }
 
-/// The config beside the checkpoints, if there is one.
+/// The config beside the checkpoints, if the file exists.
 fn saved_config(systems: Systems<'_>, folder: &Path) -> Result<Option<Config>, Error> {
     let path = folder.join("config.toml");
     let config = path.exists().then(|| systems.load(&path, &[]));
     Ok(config.transpose()?)
 }
 
-/// The newest complete checkpoint with its state, and the problems of damaged ones, newest first.
+/// The newest complete checkpoint with its state, and the problems of damaged checkpoints, newest
+/// first.
 fn found(checkpoints: &Checkpoints) -> (Option<(PathBuf, State)>, Vec<String>) {
     let (mut newest, mut damaged) = (None, Vec::new());
     let steps = checkpoints.steps().unwrap_or_else(|error| {
@@ -175,7 +176,7 @@ fn found(checkpoints: &Checkpoints) -> (Option<(PathBuf, State)>, Vec<String>) {
         match complete_state(&path) {
             Ok(state) if newest.is_none() => newest = Some((path, state)),
             Ok(_) => {}
-            // Removed by a training meanwhile.
+            // Training has removed the checkpoint meanwhile.
             Err(_) if !path.exists() => {}
             Err(error) => damaged.push(error.to_string()),
         }
@@ -183,7 +184,8 @@ fn found(checkpoints: &Checkpoints) -> (Option<(PathBuf, State)>, Vec<String>) {
     (newest, damaged)
 }
 
-/// The state of a checkpoint. Fails if it is damaged or a file is missing; other files are not read.
+/// The state of a checkpoint. Fails if the state is damaged or a file is missing; other files are
+/// not read.
 pub fn complete_state(checkpoint: &Path) -> Result<State, Error> {
     let state = State::read(checkpoint)?;
     let mut files = state.checksums.keys();
@@ -196,7 +198,7 @@ pub fn complete_state(checkpoint: &Path) -> Result<State, Error> {
     }
 }
 
-/// The first problems, and the number of the others.
+/// The first problems, and the number of other problems.
 fn joined(problems: impl Iterator<Item = String>) -> Option<String> {
     let mut problems: Vec<String> = problems.collect();
     let more = problems.len().saturating_sub(NAMED);
@@ -246,13 +248,13 @@ fn size_on_disk(folder: &Path, depth: usize) -> u64 {
     sizes.sum()
 }
 
-/// True for a folder with files of a training, or with a config alone.
+/// True for a folder with files of a training run, or with only a config.
 pub fn is_run(folder: &Path) -> bool {
     let written = ["checkpoints", "metrics.jsonl", "lock"];
     written.iter().any(|name| folder.join(name).exists()) || has_only_a_config(folder)
 }
 
-/// Any other file beside `config.toml` shows that it belongs to another program.
+/// With another file beside `config.toml`, the folder may belong to another program.
 fn has_only_a_config(folder: &Path) -> bool {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let names: Vec<OsString> = entries.map(|entry| entry.file_name()).collect();
@@ -271,7 +273,7 @@ pub fn folder_name(folder: &Path) -> String {
     name.to_string_lossy().into_owned()
 }
 
-/// The runs in a folder and below it by path, the folder itself and stages included.
+/// The runs in a folder and its subfolders by path, including the folder itself and stages.
 pub fn find(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     search(folder, 0, &mut found);

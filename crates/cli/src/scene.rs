@@ -1,4 +1,4 @@
-//! From files to a [`Scene`]: motions of every representation and BVH files, goals and songs.
+//! Builds a [`Scene`] from files: motions of every representation, BVH files, goals and songs.
 
 mod body;
 mod music;
@@ -30,7 +30,7 @@ pub use music::{Music, song};
 /// Largest number of figures in a scene.
 const MOST_FIGURES: usize = 16;
 
-/// Facts that motion files do not contain, and what to show with them.
+/// Facts that motion files do not contain, and other contents of the scene.
 #[derive(Debug, Default)]
 pub struct Reading {
     /// Unit and vertical of BVH files.
@@ -46,7 +46,7 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// The reading that the options describe.
+    /// The reading options of the command line.
     pub fn of(arguments: &ReadingArguments) -> Self {
         Self {
             bvh: BvhReading {
@@ -59,8 +59,8 @@ impl Reading {
     }
 }
 
-/// The motion files at `paths`; with `raw`, each with its raw model output after it. Fails if a
-/// path has no motion, or if there are too many.
+/// The motion files at `paths`; with `raw`, each file is followed by its raw model output. Fails if
+/// a path has no motion, or for too many files.
 pub fn motions(paths: &[PathBuf], raw: bool) -> Result<Vec<PathBuf>, Error> {
     let mut files = motion_files(paths, &["npy", "bvh"])?;
     if raw {
@@ -97,7 +97,8 @@ fn warn_of_no_raw(files: &[PathBuf]) {
     );
 }
 
-/// The scene of `motions`, one figure each. Fails if a motion, the goal or the song cannot be read.
+/// The scene of `motions`, with one figure per motion. Fails if a motion, the goal or the song
+/// cannot be read.
 pub fn read(systems: Systems<'_>, motions: &[PathBuf], reading: &Reading) -> Result<Scene, Error> {
     let figures = motions.iter().zip(names(motions));
     let figures = figures
@@ -119,7 +120,7 @@ pub fn read(systems: Systems<'_>, motions: &[PathBuf], reading: &Reading) -> Res
 }
 
 /// A name for each file: its stem, the folder of `ID/trajectory.npy` in datasets, or both if names
-/// are alike.
+/// are equal.
 fn names(paths: &[PathBuf]) -> Vec<String> {
     let folder = |path: &Path| file_stem(path.parent().unwrap_or(Path::new("")));
     let short = |path: &PathBuf| match file_stem(path) {
@@ -173,8 +174,8 @@ fn no_legs(path: &Path, what: &str) -> Error {
     )
 }
 
-/// A motion as BVH in centimetres with +y up, for the file `out`. With `lock_feet`, feet stay
-/// where they stand. Fails if it cannot be read, or its skeleton is unknown.
+/// A motion as BVH in centimeters with +y up, for the file `out`. `lock_feet` locks standing feet.
+/// Fails if the motion cannot be read, or its skeleton is unknown.
 pub fn as_bvh(
     systems: Systems<'_>,
     path: &Path,
@@ -244,7 +245,7 @@ pub fn curve_panels(figure: &SceneObject) -> impl Iterator<Item = Panel> {
     })
 }
 
-/// Unit quaternions of phrases; a zero quaternion takes that of the frame before.
+/// Unit quaternions of phrases; a zero quaternion takes the previous frame's quaternion.
 fn orientations(rows: &[f32]) -> Vec<[f32; 4]> {
     let mut last = [1.0, 0.0, 0.0, 0.0];
     let frames = rows.chunks_exact(CHANNELS).map(|frame| {

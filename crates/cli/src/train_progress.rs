@@ -1,4 +1,4 @@
-//! Progress of a training.
+//! Progress of a training run.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use crate::{output, preview};
 /// Weight of the old value in the smoothed loss.
 const SMOOTHING: f64 = 0.98;
 
-/// Number of progress lines of a training without a terminal.
+/// Number of progress lines of a training run without a terminal.
 const LINES: u64 = 20;
 
 /// Shows a training on standard error.
@@ -26,12 +26,13 @@ pub struct TrainProgress<'a> {
     started: Instant,
     steps_here: u64,
     stop: Arc<AtomicBool>,
-    /// There is something that a checkpoint would save.
+    /// True if a checkpoint would save new progress.
     trains: Arc<AtomicBool>,
 }
 
 impl<'a> TrainProgress<'a> {
-    /// Shows nothing yet. Ctrl-C ends the process; during training the first one requests a stop.
+    /// Shows nothing yet. Ctrl-C ends the process; during training, the first Ctrl-C requests a
+    /// stop.
     pub fn new(systems: Systems<'a>) -> Self {
         let trains = Arc::new(AtomicBool::new(false));
         let message = "stopping after this step and writing a checkpoint";
@@ -57,7 +58,7 @@ impl<'a> TrainProgress<'a> {
         self.bar.finish_and_clear();
     }
 
-    /// Makes Ctrl-C end the process from now on. True if a stop was requested before.
+    /// Makes Ctrl-C end the process from now on. Returns true if a stop was requested before.
     pub fn end_training(&self) -> bool {
         self.trains.store(false, Ordering::SeqCst);
         self.stop_requested()

@@ -1,4 +1,4 @@
-//! NumPy arrays to and from vectors.
+//! Conversions between NumPy arrays and vectors.
 
 use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, ToPyArray};
 use pyo3::prelude::*;

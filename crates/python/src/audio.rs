@@ -69,7 +69,7 @@ impl SongFeatures {
     }
 }
 
-/// Decodes the song at `path` and computes the features of all of it.
+/// Decodes the song at `path` and computes the features of the entire song.
 #[pyfunction]
 pub fn audio_features(py: Python<'_>, path: PathBuf) -> PyResult<SongFeatures> {
     call(py, || {

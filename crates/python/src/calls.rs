@@ -1,4 +1,4 @@
-//! Long calls: away from the interpreter's lock, with progress, ended by Ctrl-C.
+//! Long calls that release the interpreter's lock, report progress, and end on Ctrl-C.
 
 use std::ops::ControlFlow;
 use std::thread;
@@ -13,7 +13,7 @@ use crate::threads;
 /// Runs `work` without the interpreter's lock.
 ///
 /// # Errors
-/// The exception of its error.
+/// The exception for the error of `work`.
 pub fn call<T: Send>(
     py: Python<'_>,
     work: impl FnOnce() -> Result<T, Error> + Send,
@@ -22,8 +22,8 @@ pub fn call<T: Send>(
         .map_err(|error| exception(py, &error))
 }
 
-/// Ends the reading of a dataset on Ctrl-C, without showing progress. It checks only on the thread
-/// that created it, because Python handles signals on its main thread.
+/// Ends the reading of a dataset on Ctrl-C, without showing progress. Only the creating thread
+/// checks for Ctrl-C, because Python handles signals on its main thread.
 pub fn until_interrupted() -> Box<Reading> {
     let here = thread::current().id();
     Box::new(move |_, _| {
@@ -35,8 +35,8 @@ pub fn until_interrupted() -> Box<Reading> {
     })
 }
 
-/// Reports to a Python callable `progress(stage, done, total)`, and ends the computation if it or a
-/// signal handler raises.
+/// Reports to a Python callable `progress(stage, done, total)`, and ends the computation if the
+/// callable or a signal handler raises.
 pub struct Progress {
     callback: Option<Py<PyAny>>,
     raised: Option<PyErr>,
@@ -80,10 +80,11 @@ impl Progress {
     }
 }
 
-/// [`call`] of work that reports its progress to `callback`, if there is one.
+/// [`call`] of work that reports its progress to an optional `callback`.
 ///
 /// # Errors
-/// The exception of its error, `KeyboardInterrupt`, or the exception that `callback` raised.
+/// The exception for the error of the work, `KeyboardInterrupt`, or the exception that `callback`
+/// raised.
 pub fn call_with<T: Send>(
     py: Python<'_>,
     callback: Option<Py<PyAny>>,

@@ -12,7 +12,7 @@ use crate::arrays::shape_and_values;
 use crate::calls::{call, json};
 use crate::errors::named;
 
-/// The report of the checks of `profile` as JSON, with the training statistics of `run`.
+/// The report of `profile`'s checks as JSON, with the training statistics of `run`.
 #[pyfunction]
 pub fn check(
     py: Python<'_>,

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use kinegrad_systems::BUILT_IN;
 use pyo3::prelude::*;
 
-/// Runs a command line, whose first argument is the program's name, and returns its exit code.
+/// Runs a command line and returns its exit code. The first argument is the program's name.
 #[pyfunction]
 pub fn main(py: Python<'_>, arguments: Vec<String>) -> u8 {
     let code = py.detach(|| kinegrad_cli::run(BUILT_IN, arguments));

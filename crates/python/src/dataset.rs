@@ -42,7 +42,7 @@ type Opened<T> = kinegrad_data::Dataset<T>;
 struct Clips {
     dataset: Opened<Clip>,
     items: ItemSet<Clip>,
-    /// The labels of the model, if captions are labels.
+    /// The labels of the model; `None` if captions are not labels.
     labels: Option<CaptionLabels>,
 }
 
@@ -69,7 +69,7 @@ impl Dataset {
         }
     }
 
-    /// Its ids, in order.
+    /// The ids of the items, in order.
     fn ids(&self) -> Vec<String> {
         match &self.items {
             Items::Phrases(items) => items.ids().map(String::from).collect(),
@@ -101,7 +101,7 @@ impl Dataset {
         self.warnings.clone()
     }
 
-    /// Mean and standard deviation of each channel, which normalise the batches.
+    /// Mean and standard deviation of each channel, for normalizing the batches.
     fn statistics(&self) -> (Vec<f64>, Vec<f64>) {
         (self.statistics.mean.clone(), self.statistics.std.clone())
     }
@@ -133,7 +133,7 @@ impl Dataset {
         Ok(item)
     }
 
-    /// The stream of batches from number `first` on.
+    /// The stream of batches, starting at batch `first`.
     fn batches(
         &self,
         py: Python<'_>,
@@ -218,7 +218,7 @@ impl Dataset {
         }
     }
 
-    /// The stream of batches of a training on this split.
+    /// The stream of training batches on this split.
     fn loader(&self, data: &DataConfig, seed: u64, first: u64) -> Loader {
         let statistics = self.statistics.clone();
         match &self.items {
@@ -233,7 +233,7 @@ impl Dataset {
                     labels,
                 } = &**clips;
                 let representation = dataset.representation.clone();
-                // Without a recipe of clips, all of the channels.
+                // All channels without a recipe of clips.
                 let channels = match self.config.system.get::<GmdConfig>() {
                     Some(_) => channels_of(&self.config),
                     None => representation.channels(),
@@ -255,8 +255,8 @@ impl Dataset {
     }
 }
 
-/// The labels of a model of `config`, if captions are labels: those of the config, else those of the
-/// training clips.
+/// The labels of a model of `config`, if captions are labels. The config's labels take precedence
+/// over the training clips' labels.
 fn labels_of(config: &Config, dataset: &Opened<Clip>) -> Result<Option<CaptionLabels>, Error> {
     if config.data.humanml3d.text != CaptionText::Labels {
         return Ok(None);
@@ -271,7 +271,8 @@ fn labels_of(config: &Config, dataset: &Opened<Clip>) -> Result<Option<CaptionLa
     Ok(Some(CaptionLabels::new(captions)))
 }
 
-/// The statistics that normalise the batches: those of the run if there is one, else of the dataset.
+/// The statistics for normalizing the batches: the run's statistics, or the dataset's without a
+/// run.
 fn statistics_of<T: Item>(
     dataset: &Opened<T>,
     state: Option<&State>,
@@ -282,7 +283,8 @@ fn statistics_of<T: Item>(
     }))
 }
 
-/// The config of a file, or of the dataset at an address with the defaults of its kind.
+/// The config in a file, or a config for the dataset at an address, with the defaults of the
+/// dataset's kind.
 fn config_of(source: &str, settings: &[String]) -> Result<Config, Error> {
     if source.ends_with(".toml") {
         return Ok(BUILT_IN.load(Path::new(source), settings)?);

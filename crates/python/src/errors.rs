@@ -24,7 +24,7 @@ pub fn exception(py: Python<'_>, error: &Error) -> PyErr {
     }
 }
 
-/// The name of its class in `kinegrad.errors`.
+/// The name of the error's class in `kinegrad.errors`.
 fn class(error: &Error) -> &'static str {
     match error {
         Error::Usage { .. } | Error::OtherRepresentation { .. } | Error::NoAdapters { .. } => {
@@ -51,7 +51,7 @@ fn class(error: &Error) -> &'static str {
     }
 }
 
-/// A value by its name in a config; `what` and `allowed` are for the error.
+/// A value by its name in a config; `what` and `allowed` are texts for the error.
 pub fn named<T: DeserializeOwned>(what: &str, name: &str, allowed: &str) -> Result<T, Error> {
     let value = T::deserialize(name.into_deserializer());
     value.map_err(|_: ValueError| {

@@ -1,7 +1,7 @@
-//! The Python module `kinegrad._kinegrad`. The Python package `kinegrad`, in `python/kinegrad`, is a
-//! thin layer over it. Plain data is passed as JSON, motion as NumPy arrays.
+//! The Python module `kinegrad._kinegrad`. The Python package `kinegrad`, in `python/kinegrad`, is
+//! a thin layer over this module. Plain data is passed as JSON, motion as NumPy arrays.
 #![recursion_limit = "256"]
-// An error moves once, at the end of a call, so its size does not matter.
+// An error moves once, at the end of a call, so the size of errors does not matter.
 #![allow(clippy::result_large_err)]
 
 mod arrays;

@@ -39,7 +39,7 @@ pub fn foot_sliding(
     })
 }
 
-/// A measure of the joints `feet`, by default the toes.
+/// A measure of the joints `feet`; the default joints are the toes.
 fn of_feet(
     py: Python<'_>,
     positions: &PyReadonlyArrayDyn<'_, f64>,
@@ -138,7 +138,7 @@ pub fn frechet_distance(
     })
 }
 
-/// Times in seconds at which the root of a phrase `[T, 25]` is slowest.
+/// Times in seconds of local minima of the root's speed in a phrase `[T, 25]`.
 #[pyfunction]
 pub fn kinematic_beats<'py>(
     py: Python<'py>,

@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 use crate::calls::{call, call_with, json};
 use crate::errors::named;
 
-/// The path of the checkpoint of a run or checkpoint, its step, and its config as JSON.
+/// The checkpoint's path, its step, and its config as JSON, for a run or a checkpoint.
 #[pyfunction]
 pub fn open_run(py: Python<'_>, path: PathBuf) -> PyResult<(PathBuf, u64, String)> {
     call(py, || {
@@ -26,7 +26,7 @@ pub fn open_run(py: Python<'_>, path: PathBuf) -> PyResult<(PathBuf, u64, String
 /// A step, and its scalars by name.
 type Line = (u64, Vec<(String, f64)>);
 
-/// The metrics of the run in `folder`: each line's step, and its scalars by name.
+/// The metrics of the run in `folder`: the step of each line, and the scalars by name.
 #[pyfunction]
 pub fn read_metrics(py: Python<'_>, folder: PathBuf) -> PyResult<Vec<Line>> {
     let records = call(py, || telemetry::read_metrics(&folder, &mut |_| {}))?;
@@ -45,10 +45,10 @@ pub struct Model {
 }
 
 impl Model {
-    /// Opens it.
+    /// Opens a run or checkpoint.
     ///
     /// # Errors
-    /// If there is none, it is damaged, or a setting is invalid.
+    /// If the checkpoint is missing or damaged, or a setting is invalid.
     pub fn open(&self) -> Result<TrainedModel, Error> {
         let weights = named("`weights`", &self.weights, "\"ema\" and \"model\"")?;
         let saved = checkpoint(&self.run)?;

@@ -93,19 +93,19 @@ type NamedArray<'a, 'py> = (&'a str, Bound<'py, PyArrayDyn<f32>>);
 
 #[pymethods]
 impl Sample {
-    /// Its name among the samples of the call.
+    /// The sample's name, unique in the call.
     #[getter]
     fn name(&self) -> String {
         self.0.name.clone()
     }
 
-    /// Its record, as JSON.
+    /// The sample's record, as JSON.
     #[getter]
     fn record(&self) -> String {
         json(&self.0.record)
     }
 
-    /// Its arrays by the ending of their files; the motion itself is `.npy`.
+    /// The sample's arrays by file ending; the ending of the motion is `.npy`.
     fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Vec<NamedArray<'_, 'py>>> {
         let arrays = self.0.files.iter().filter_map(|(ending, contents)| {
             let Contents::Array { shape, values } = contents else {
@@ -116,7 +116,7 @@ impl Sample {
         arrays.collect()
     }
 
-    /// The text of its BVH file, if it has one.
+    /// The text of the sample's BVH file; `None` without a BVH file.
     fn bvh(&self, py: Python<'_>) -> PyResult<Option<String>> {
         call(py, || {
             let mut files = self.0.files.iter();

@@ -15,7 +15,7 @@ use crate::calls::call;
 /// Positions `[T, J, 3]`, names, parents (-1 for the root) and frames per second.
 type ReadBvh<'py> = (Bound<'py, PyArrayDyn<f64>>, Vec<String>, Vec<i64>, f64);
 
-/// Joint positions of a BVH file in metres; a metre has `units_per_metre` of the file's units.
+/// Joint positions of a BVH file in meters; the file has `units_per_metre` units per meter.
 #[pyfunction]
 pub fn read_bvh(py: Python<'_>, path: PathBuf, units_per_metre: f64) -> PyResult<ReadBvh<'_>> {
     let (bvh, positions) = call(py, || {
@@ -42,7 +42,7 @@ pub fn read_bvh(py: Python<'_>, path: PathBuf, units_per_metre: f64) -> PyResult
     ))
 }
 
-/// Writes joint positions `[T, J, 3]` in metres, of the 22 joints of HumanML3D or the 21 of KIT-ML.
+/// Writes joint positions `[T, J, 3]` in meters, for HumanML3D's 22 or KIT-ML's 21 joints.
 #[pyfunction]
 pub fn write_bvh(
     py: Python<'_>,
@@ -66,7 +66,7 @@ pub fn write_bvh(
 /// Joints of an array.
 ///
 /// # Errors
-/// If its shape is not `[T, J, 3]`, or a value is not finite.
+/// If the array's shape is not `[T, J, 3]`, or a value is not finite.
 pub fn joints(shape: &[usize], values: &[f64]) -> Result<Joints, Error> {
     match *shape {
         [_, joints, 3] => {
@@ -80,10 +80,10 @@ pub fn joints(shape: &[usize], values: &[f64]) -> Result<Joints, Error> {
     }
 }
 
-/// The known skeleton with as many joints.
+/// The known skeleton with the given number of joints.
 ///
 /// # Errors
-/// If there is none.
+/// If no known skeleton has this number.
 pub fn skeleton_of(joints: &Joints) -> Result<Skeleton, Error> {
     let mut known = [Skeleton::humanml3d(), Skeleton::kit()].into_iter();
     let found = known.find(|skeleton| skeleton.joints() == joints.joints());

@@ -12,7 +12,7 @@ static IMPORTED_BY: OnceLock<u32> = OnceLock::new();
 /// The threads of a fork, and its process.
 static OF_FORK: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
 
-/// Remembers this process as the one that imported the module.
+/// Stores this process as the process that imported the module.
 pub fn remember_process() {
     let _ = IMPORTED_BY.set(process::id());
 }

@@ -13,8 +13,8 @@ use pyo3::types::PyDict;
 
 use crate::calls::{call, until_interrupted};
 
-/// Passes events to a Python callable `event(kind, fields)`, and stops the training if it or a
-/// signal handler raises.
+/// Passes events to a Python callable `event(kind, fields)`, and stops the training if the callable
+/// or a signal handler raises.
 struct Events {
     event: Py<PyAny>,
     raised: Option<PyErr>,
@@ -94,8 +94,8 @@ impl Observer for Events {
     }
 }
 
-/// Trains a run to its end, generates the samples of `sampling.count_at_end`, and returns its folder.
-/// Exceptions of callbacks and of Ctrl-C are raised after a checkpoint has been written.
+/// Trains a run to its end, generates the samples of `sampling.count_at_end`, and returns the run's
+/// folder. Exceptions of callbacks and of Ctrl-C are raised after a checkpoint has been written.
 #[pyfunction]
 pub fn train(
     py: Python<'_>,

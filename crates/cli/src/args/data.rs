@@ -15,7 +15,7 @@ pub enum DataCommand {
     Synth(SynthArguments),
     /// Create a dataset from motion captures: phrases with their songs, or clips with captions
     Prepare(PrepareArguments),
-    /// Summarise a dataset and list problems
+    /// Summarize a dataset and list its problems
     Inspect(InspectArguments),
 }
 
@@ -74,8 +74,9 @@ pub struct FeaturesArguments {
     /// Length of the features in seconds [default: to the end of the song]
     #[arg(long, value_name = "SECONDS")]
     pub duration: Option<f64>,
-    /// Also write beat features, `beats` [7, T]: sine and cosine of the position in beat and bar,
-    /// whether the bar is known, a mark on each beat, and the tempo in octaves above 120
+    /// Also write beat features, `beats` [7, T]: sine and cosine of the position in beat and bar, a
+    /// flag for a known bar, a mark on each beat, and the tempo in octaves above 120 beats per
+    /// minute
     #[arg(long = "beats")]
     pub with_beats: bool,
     #[command(flatten)]
@@ -95,13 +96,13 @@ pub struct BeatArguments {
     /// Beats in a bar of the song [default: 4]
     #[arg(long, value_name = "N", requires = "downbeat")]
     pub beats_per_bar: Option<u32>,
-    /// Position in the song, in seconds, at which a bar begins; without it the bar is unknown
+    /// Start of a bar, in seconds of the song [default: unknown]
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
     pub downbeat: Option<f64>,
 }
 
 impl BeatArguments {
-    /// The known beats as the library takes them.
+    /// The known beats for the audio crate.
     pub fn known(&self) -> KnownBeats {
         KnownBeats {
             tempo: self.tempo,
@@ -117,7 +118,7 @@ impl BeatArguments {
 Example:
   kinegrad data synth --out phrases --phrases 64 --frames 120 --seed 0")]
 pub struct SynthArguments {
-    /// Output folder; new or empty
+    /// Output folder, new or empty
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Create walks in the HumanML3D layout instead of phrases
@@ -148,11 +149,11 @@ pub struct InspectArguments {
     /// credentials come from the environment
     #[arg(value_name = "URI")]
     pub source: String,
-    /// List the items of the manifest that match a condition on its columns, such as `tempo > 100`
-    /// or `split = train and not flags like *no_audio*`; reads the manifest alone
+    /// List the manifest's items that match a condition on columns, such as `tempo > 100` or `split
+    /// = train and not flags like *no_audio*`; reads only the manifest
     #[arg(long = "where", value_name = "CONDITION")]
     pub condition: Option<String>,
-    /// Plot tempo, length and beats of the items that match the condition
+    /// Plot tempo, length and beats of the items that match `--where`
     #[arg(long, value_name = "FILE.png|FILE.svg")]
     pub plot: Option<PathBuf>,
     /// Read the dataset as clips in the HumanML3D layout [default: detected]

@@ -1,4 +1,4 @@
-//! Every command in the README, in `docs` and in comments of `configs` can be read.
+//! Tests that every command in the README, in `docs` and in comments of `configs` parses.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use clap::error::ErrorKind;
 
 use super::Arguments;
 
-/// A page and its commands: whole ones in blocks, perhaps incomplete ones in sentences.
+/// A page and its commands: complete commands in code blocks, possibly incomplete commands in text.
 struct Page {
     path: PathBuf,
     blocks: Vec<String>,
@@ -25,7 +25,7 @@ fn files(folder: &Path, extension: &str, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// Lines, with those that end in `\` joined to the next.
+/// Lines; a line that ends in `\` is joined to the next line.
 fn joined(text: &str) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     let mut goes_on = false;
@@ -43,7 +43,7 @@ fn joined(text: &str) -> Vec<String> {
     lines
 }
 
-/// The commands of lines, without prompt, each part of a chain separately.
+/// The commands in lines, without prompts; each part of a chain is a separate command.
 fn commands(text: &str) -> Vec<String> {
     let parts = joined(text).into_iter().flat_map(|line| {
         let parts = line.split(" && ").map(str::to_owned);

@@ -31,32 +31,33 @@ pub struct MatchArguments {
     /// Replace existing files
     #[arg(long)]
     pub overwrite: bool,
-    /// Length: a multiple of all examples together (2x), frames (300), or seconds (12.5s)
-    /// [default: 2x; with `--fix` or `--content` the length of that motion]
+    /// Length: a multiple of the examples' total length (2x), frames (300), or seconds (12.5s)
+    /// [default: 2x; with `--fix` or `--content`, the length of the given motion]
     #[arg(long)]
     pub length: Option<Length>,
     /// Random seed of the noise
     #[arg(long, default_value_t = 0, conflicts_with = "content")]
     pub seed: u64,
-    /// Default settings: `published` (of the published program) or `paper` (by body parts, with foot
+    /// Default settings: `published` (as in the published program) or `paper` (body parts and foot
     /// contacts)
     #[arg(long, value_parser = named::<Preset>, default_value = "published")]
     pub preset: Preset,
-    /// From mixing (0) to copying long stretches (1); sets `--coarse-ratio` and `--alpha`
+    /// Coherence, from mixing (0) to copying long stretches (1); sets `--coarse-ratio` and
+    /// `--alpha`
     #[arg(long, value_name = "0..1", conflicts_with_all = ["coarse_ratio", "alpha"])]
     pub coherence: Option<f64>,
-    /// Frames of a patch, odd [default: from the preset, 11]
+    /// Odd number of frames in a patch [default: from the preset, 11]
     #[arg(long, value_name = "FRAMES")]
     pub patch_size: Option<usize>,
-    /// Length of the coarsest level: in patch sizes (5x), or as a part of the example (0.15)
+    /// Length of the coarsest level: in patch sizes (5x), or as a fraction of the example (0.15)
     /// [default: from the preset]
     #[arg(long, value_name = "RATIO")]
     pub coarse_ratio: Option<CoarseRatio>,
     /// Ratio of the lengths of a level and the next finer one [default: from the preset, 0.75]
     #[arg(long, value_name = "FACTOR")]
     pub pyr_factor: Option<f64>,
-    /// Completeness: smaller values use more of the examples; `none` turns it off [default: from the
-    /// preset, 0.01]
+    /// Completeness: smaller values use more of the examples; `none` disables completeness
+    /// [default: from the preset, 0.01]
     #[arg(long, value_parser = alpha)]
     pub alpha: Option<Completeness>,
     /// Standard deviation of the initial noise [default: from the preset]
@@ -68,8 +69,8 @@ pub struct MatchArguments {
     /// Make a loop
     #[arg(long = "loop")]
     pub looping: bool,
-    /// Match motion relative to the heading, so that walks in all directions are alike; for examples
-    /// that turn around
+    /// Match motion relative to the heading, so that walks in different directions match; for
+    /// examples that turn around
     #[arg(long)]
     pub heading: bool,
     /// Body parts that are matched separately: `whole`, `auto` (trunk and limbs), or a TOML file
@@ -79,20 +80,20 @@ pub struct MatchArguments {
     /// File of poses at given times
     #[arg(long, value_name = "KEYFRAMES.toml")]
     pub keyframes: Option<PathBuf>,
-    /// Part that follows a motion, as legs=walk.bvh: a part of `--parts`, a joint with all joints
-    /// below it, or `legs`, `arms` or `head`
+    /// Part that follows a motion, for example legs=walk.bvh: a part of `--parts`, a joint and its
+    /// descendants, or `legs`, `arms` or `head`
     #[arg(long, value_name = "PART=MOTION.bvh", value_parser = fixed)]
     pub fix: Vec<(String, PathBuf)>,
-    /// Motion to restyle: it replaces the initial noise
+    /// Motion to restyle, which replaces the initial noise
     #[arg(long, value_name = "MOTION.bvh")]
     pub content: Option<PathBuf>,
-    /// Lock feet while those of the examples stand
+    /// Lock feet while the examples' feet stand
     #[arg(long, conflicts_with = "looping")]
     pub lock_feet: bool,
     /// Axis of the files that points up: y or z [default: guessed from the feet]
     #[arg(long, value_parser = named::<UpAxis>, value_name = "AXIS")]
     pub up: Option<UpAxis>,
-    /// Plot the source frame of each frame, the used frames of the examples, and the root path
+    /// Plot each frame's source frame, the used frames of the examples, and the root path
     #[arg(long, value_name = "FILE.svg")]
     pub svg: Option<PathBuf>,
     /// Print the record as JSON
@@ -100,7 +101,7 @@ pub struct MatchArguments {
     pub json: bool,
 }
 
-/// Completeness; none if it is turned off.
+/// Completeness; `None` disables it.
 #[derive(Clone, Copy, Debug)]
 pub struct Completeness(pub Option<f64>);
 

@@ -21,7 +21,7 @@ pub struct ReadingArguments {
     pub fps: f64,
 }
 
-/// Units by name or by their length.
+/// Parses a unit: a name, or a length in meters.
 fn units(text: &str) -> Result<Units, String> {
     match text.parse::<f64>() {
         Ok(metres) if metres > 0.0 && metres.is_finite() => Ok(Units::Metres(metres)),

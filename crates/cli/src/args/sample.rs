@@ -38,14 +38,14 @@ pub struct SampleArguments {
     /// [default: default]
     #[arg(long, value_name = "PROFILE", value_parser = named::<PostProcessProfile>)]
     pub postprocess: Option<PostProcessProfile>,
-    /// Lock feet in the BVH file while they stand; the arrays do not change
+    /// Lock standing feet in the BVH file; the arrays do not change
     #[arg(long)]
     pub lock_feet: bool,
     /// Samples per condition
     #[arg(long, default_value_t = 1, value_name = "N")]
     pub count: usize,
     /// Frames to generate, at most the length of the condition [default: the length of the
-    /// condition; for clips without a goal, the training length, or the item's if that is shorter]
+    /// condition; for clips without a goal, the shorter of training length and item length]
     #[arg(long, value_name = "T")]
     pub frames: Option<usize>,
     /// Seconds to generate, instead of `--frames`
@@ -72,7 +72,7 @@ pub struct SamplerArguments {
     #[arg(long, value_name = "N")]
     pub steps: Option<usize>,
     /// Classifier-free guidance scale; 1 disables guidance; `eval --audio-ablation` compares
-    /// several, separated by commas [default: from the run's config]
+    /// several scales, separated by commas [default: from the run's config]
     #[arg(long, value_name = "SCALE", value_delimiter = ',')]
     pub guidance_scale: Vec<f64>,
     /// Guidance scale of the style [default: from the run's config, else `--guidance-scale`]

@@ -33,8 +33,7 @@ pub struct TrainArguments {
     /// Training device, see `kinegrad devices` [default: `run.device`]
     #[arg(long)]
     pub device: Option<String>,
-    /// Resume from the latest valid checkpoint of the folder RUN, or of the run that the config file
-    /// names
+    /// Resume the run in the folder RUN, or the config file's run, from the latest valid checkpoint
     #[arg(long, value_name = "RUN", num_args = 0..=1)]
     pub resume: Option<Option<PathBuf>>,
     /// Validate everything, time a few steps, and print an estimate of parameters, memory, time and
@@ -89,7 +88,7 @@ impl TrainArguments {
     }
 }
 
-/// The default config. Fails if it is not in this folder.
+/// The default config. Fails if the current folder has no such file.
 fn default_config() -> Result<PathBuf, Error> {
     let path = PathBuf::from(DEFAULT_CONFIG);
     match path.exists() {

@@ -37,8 +37,8 @@ pub struct ViewArguments {
     /// Title of the page [default: the names of the motions]
     #[arg(long)]
     pub title: Option<String>,
-    /// Page to write [default: beside the first motion, with its name, unless another file is
-    /// written]
+    /// Page to write [default: the first motion's path ending in .html, unless another output is
+    /// given]
     #[arg(long, value_name = "PAGE.html")]
     pub out: Option<PathBuf>,
     /// Write an animated picture
@@ -53,7 +53,7 @@ pub struct ViewArguments {
     /// Write one motion as BVH in centimetres with +y up
     #[arg(long, value_name = "FILE.bvh")]
     pub bvh: Option<PathBuf>,
-    /// Lock feet in the BVH file while they stand
+    /// Lock standing feet in the BVH file
     #[arg(long, requires = "bvh")]
     pub lock_feet: bool,
     /// Replace existing files

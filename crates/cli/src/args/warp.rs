@@ -27,8 +27,8 @@ pub struct WarpArguments {
     /// Replace existing files
     #[arg(long)]
     pub overwrite: bool,
-    /// `stretch`: over the entire path, faster or slower than before; `own`: at the motion's speed,
-    /// until one of them ends
+    /// `stretch` covers the entire path at a changed speed; `own` keeps the motion's speed until
+    /// the path or the motion ends
     #[arg(long, value_parser = named::<ArcLengthMode>, default_value = "stretch")]
     pub along: ArcLengthMode,
     /// Heading of the body: `relative` turns with the direction of movement (side steps stay side
@@ -38,10 +38,10 @@ pub struct WarpArguments {
     /// Do not smooth turns over time
     #[arg(long)]
     pub sharp: bool,
-    /// Lock feet where they stand in the motion, by two-bone inverse kinematics
+    /// Lock the motion's standing feet by two-bone inverse kinematics
     #[arg(long)]
     pub lock_feet: bool,
-    /// Metres in a unit of a drawing
+    /// Meters per unit of a drawing
     #[arg(long, value_name = "METRES")]
     pub metres_per_unit: Option<f64>,
     /// Print the record as JSON

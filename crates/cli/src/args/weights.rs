@@ -17,13 +17,13 @@ pub struct ImportArguments {
     /// Model architecture: gmd_motion, gmd_trajectory, mdm or flowmdm
     #[arg(long)]
     pub arch: String,
-    /// Mean of the training data, one value per feature; all features also for a trajectory model
+    /// Mean of the training data, one value per feature; a trajectory model needs all features too
     #[arg(long, value_name = "M.npy")]
     pub mean: Option<PathBuf>,
     /// Standard deviation of the training data
     #[arg(long, value_name = "S.npy")]
     pub std: Option<PathBuf>,
-    /// Emphasis projection matrix of the training
+    /// Emphasis projection matrix used in training
     #[arg(long, value_name = "P.npy")]
     pub projection: Option<PathBuf>,
     /// Number of frames that the network pads clips to

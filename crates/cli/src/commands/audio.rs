@@ -25,7 +25,7 @@ struct Song {
     folder: PathBuf,
 }
 
-/// Writes the features of each song; exit code 2 if a song cannot be used, after the others.
+/// Writes the features of each song. After all songs, the exit code is 2 if a song cannot be used.
 pub fn features(arguments: FeaturesArguments) -> Result<ExitCode, Error> {
     let songs = songs(&arguments)?;
     for (option, seconds, allowed) in [

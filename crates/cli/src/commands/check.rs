@@ -62,7 +62,7 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
     Ok(ExitCode::from(u8::from(passed < reports.len())))
 }
 
-/// The error of joints of an unknown skeleton.
+/// The error for joints of an unknown skeleton.
 fn unknown(path: &Path, joints: usize, error: &Error) -> Error {
     let known = error.help().map(|hint| hint.to_string());
     let (path, known) = (path.display(), known.unwrap_or_default());
@@ -72,7 +72,8 @@ fn unknown(path: &Path, joints: usize, error: &Error) -> Error {
     )
 }
 
-/// The error of a check; that of incomplete statistics names their run, and the dataset that has them.
+/// The error of a check. For incomplete statistics, the error names the run and a dataset with
+/// complete statistics.
 fn unusable(arguments: &CheckArguments, error: kinegrad_motion::Error) -> Error {
     use kinegrad_motion::Error::{MovementUnknown, StatisticsNeeded};
     let (StatisticsNeeded | MovementUnknown, Some(run)) = (&error, &arguments.run) else {
@@ -116,7 +117,7 @@ fn statistics(
             data.kind = DataKind::Humanml3d;
             data.humanml3d.skeleton = skeleton;
         }
-        // All phrases, also the held-out ones.
+        // Includes the held-out phrases.
         None => data.validation.fraction = Some(0.0),
     }
     Ok(Some(kinegrad_data::statistics(&data)?))

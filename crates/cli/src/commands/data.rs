@@ -41,7 +41,7 @@ pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Error> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Prints a summary of a dataset; exit code 1 if items cannot be used.
+/// Prints a summary of a dataset; the exit code is 1 if an item cannot be used.
 pub fn inspect(arguments: InspectArguments) -> Result<ExitCode, Error> {
     if arguments.condition.is_some() || arguments.plot.is_some() {
         return select(&arguments);
@@ -232,7 +232,7 @@ fn print_problems(warnings: &[String], problems: &[Problem]) {
     }
 }
 
-/// Range, mean and standard deviation of channels or groups of them.
+/// Range, mean and standard deviation of channels or groups of channels.
 fn channels(summaries: &[ChannelSummary]) -> String {
     let rows = summaries.iter().map(|channel| {
         let numbers = [channel.min, channel.max, channel.mean, channel.std];

@@ -22,7 +22,7 @@ pub fn run(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, E
     let ranks = group.ranks();
     let outcome = match ranks.size() {
         1 => while_it_is_trained(|| evaluate(systems, arguments.clone(), &group)),
-        // Ranks cannot repeat the reading.
+        // Ranks cannot read a checkpoint again.
         _ => guarded(ranks, || {
             group.report_failure(evaluate(systems, arguments, &group))
         }),
@@ -82,7 +82,7 @@ fn evaluate(
         })?);
         bar.finish();
     }
-    // One folder for all runs, or one for each.
+    // One folder for all runs, or one folder per run.
     let each = evaluated.chunks(models.len() / folders.len());
     let each = folders.iter().zip(each);
     let each = each.filter(|_| group.writes());
@@ -141,7 +141,7 @@ fn must_compare(systems: Systems<'_>, models: &[TrainedModel]) -> Result<(), Err
     Err(Error::usage(message, hint))
 }
 
-/// The folder of a checkpoint's run; that of the checkpoint itself if it was moved elsewhere.
+/// The folder of a checkpoint's run; the checkpoint's own folder if the checkpoint was moved.
 fn run_folder(checkpoint: &Path) -> &Path {
     let inside = checkpoint
         .parent()
@@ -159,7 +159,7 @@ fn write(folder: &Path, runs: &[PathBuf], all: &[Evaluated]) -> Result<[PathBuf;
         columns_csv(["samples", "measure"], &columns),
     ];
     for (path, text) in [&json, &csv].into_iter().zip(texts) {
-        // A crash leaves the former report.
+        // After a crash, the former report remains.
         let temporary = path.with_extension("partial");
         std::fs::write(&temporary, text)
             .and_then(|()| std::fs::rename(&temporary, path))
@@ -174,8 +174,8 @@ fn report(all: &[Evaluated]) -> String {
     serde_json::to_string_pretty(&json!({ "evaluations": all })).expect("plain data")
 }
 
-/// A column for each run, and one for real motion. They have the names of the runs or, if two are
-/// equal, their `paths`.
+/// A column for each run, and a column for real motion. Run columns have the runs' names or, if two
+/// names are equal, the runs' `paths`.
 fn columns<'a>(paths: &[PathBuf], all: &'a [Evaluated], in_full: bool) -> Vec<Column<'a>> {
     let mut names: Vec<&str> = all.iter().map(|each| each.run.as_str()).collect();
     names.sort_unstable();
@@ -202,7 +202,7 @@ fn columns<'a>(paths: &[PathBuf], all: &'a [Evaluated], in_full: bool) -> Vec<Co
     columns
 }
 
-/// Facts, then the groups: all numbers in full, or the main ones as shown in tables.
+/// Facts, then groups of measures: all numbers in full, or the main numbers as shown in tables.
 fn sections(column: &evaluation::Column, in_full: bool) -> Vec<Section<'_>> {
     let facts = column.facts.iter();
     let facts = facts.map(|(name, count)| (*name, count.map(|count| count.to_string())));

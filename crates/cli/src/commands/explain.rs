@@ -113,7 +113,8 @@ fn bare(name: &str) -> String {
     name.replace("[]", "")
 }
 
-/// The key or the keys of the table `requested`, else those with this last part.
+/// The key `requested`, or all keys of the table `requested`. If neither exists, all keys with this
+/// last part.
 fn chosen(keys: &[ConfigKey], requested: &str) -> Vec<ConfigKey> {
     let with = |is_match: &dyn Fn(&str) -> bool| -> Vec<ConfigKey> {
         let keys = keys.iter().filter(|key| is_match(&bare(&key.key.name)));
@@ -160,7 +161,8 @@ fn allowed(key: &ConfigKey) -> String {
     }
 }
 
-/// The default between two `quote`s; several with their recipes, that of most recipes as the last.
+/// The default between two `quote`s. Several defaults have their recipes; the default of most
+/// recipes is last.
 fn default(key: &ConfigKey, quote: &str) -> String {
     let quoted = |value: &str| match value {
         "not set" => value.to_owned(),
@@ -188,7 +190,7 @@ fn default(key: &ConfigKey, quote: &str) -> String {
     }
 }
 
-/// A key for the terminal; there are `every` recipes.
+/// A key for the terminal; `every` is the number of recipes.
 fn explained(key: &ConfigKey, file: &str, every: usize) -> String {
     let mut text = format!("{}\n", key.key.name);
     let mut add = |line: &str, indent: &str| {
@@ -262,7 +264,7 @@ fn markdown(files: &[ConfigFile]) -> String {
     page
 }
 
-/// Keys by table and condition, those without a table first.
+/// Keys by table and condition; keys without a table are first.
 fn groups(keys: &[ConfigKey]) -> Vec<(&str, Vec<&ConfigKey>)> {
     let mut groups: Vec<(&str, Vec<&ConfigKey>)> = Vec::new();
     for key in keys.iter().filter(|key| !key.key.values.is_table()) {
@@ -313,7 +315,7 @@ fn longest(keys: &[ConfigKey]) -> usize {
     counts.max().unwrap_or_default()
 }
 
-/// Kinds of values as the page has them.
+/// Short names for kinds of values on the page.
 const SHORT: [(&str, &str); 7] = [
     ("a whole number, 0 or more", "integer ≥ 0"),
     ("a whole number", "integer"),

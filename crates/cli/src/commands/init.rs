@@ -139,7 +139,7 @@ fn find(name: &str) -> Result<&'static Template, Error> {
     })
 }
 
-/// Writes a file that does not exist.
+/// Writes a new file; fails if the file exists.
 fn write_new(file: &Path, text: &str) -> Result<(), Error> {
     folder::make_for(file)?;
     let opened = OpenOptions::new().write(true).create_new(true).open(file);

@@ -81,7 +81,7 @@ pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, 
     Ok(ExitCode::SUCCESS)
 }
 
-/// The error of a clip as output if the first example is not a clip.
+/// The error for a clip as output of an example that is not a clip.
 fn no_clip(arguments: &MatchArguments) -> Error {
     let (out, first) = (&arguments.out, &arguments.examples[0]);
     let message = format!(
@@ -93,7 +93,7 @@ fn no_clip(arguments: &MatchArguments) -> Error {
     Error::usage(message, hint)
 }
 
-/// Refuses outputs that exist or are read.
+/// Refuses outputs that exist or are also inputs.
 fn check_outputs(arguments: &MatchArguments, record: &PathBuf) -> Result<(), Error> {
     let out = &arguments.out;
     if !is_bvh(out) && !is_clip(out) {
@@ -110,14 +110,14 @@ fn check_outputs(arguments: &MatchArguments, record: &PathBuf) -> Result<(), Err
     must_be_new(outputs, &read, arguments.overwrite, "--out")
 }
 
-/// The files that a motion is made of.
+/// The input files of a motion.
 fn files_read(arguments: &MatchArguments) -> Vec<PathBuf> {
     let keyframes = &arguments.keyframes;
     let fixed = arguments.fix.iter().map(|(_, path)| path);
     let named = [&arguments.content, &arguments.parts, keyframes];
     let read = arguments.examples.iter().chain(fixed);
     let mut read: Vec<PathBuf> = read.chain(named.into_iter().flatten()).cloned().collect();
-    // A file of key frames that cannot be read is an error later.
+    // An unreadable file of key frames causes an error later.
     if let Some(path) = keyframes
         && let Ok(text) = kinegrad_data::file::read_text(path)
         && let Ok(keyframes) = Keyframe::read(&text, &path.display().to_string())
@@ -203,7 +203,7 @@ fn settings(arguments: &MatchArguments) -> Result<Settings, Error> {
     Ok(settings)
 }
 
-/// The key frames of a file, and the motions beside it that they take poses from.
+/// The key frames of a file, and the motions beside the file that provide their poses.
 fn keyframes(systems: Systems<'_>, path: &Path) -> Result<Vec<(Keyframe, Option<Example>)>, Error> {
     let text = read_text(path)?;
     let keyframes = Keyframe::read(&text, &path.display().to_string()).map_err(unusable)?;
@@ -215,7 +215,8 @@ fn keyframes(systems: Systems<'_>, path: &Path) -> Result<Vec<(Keyframe, Option<
     keyframes.into_iter().map(with_source).collect()
 }
 
-/// Notes examples that are too short for a coarse level, where noise turns into long stretches.
+/// Prints a note if the examples are too short for a coarse level, where noise becomes long
+/// stretches.
 fn note_short(job: &Job, made: &Made) {
     let longest = made.examples.iter().map(|example| example.frames()).max();
     let (settings, longest) = (&job.settings, longest.unwrap_or(1));
@@ -229,7 +230,7 @@ fn note_short(job: &Job, made: &Made) {
     }
 }
 
-/// Notes examples that turn around: patches match only those with the same heading.
+/// Prints a note if the examples turn around: patches match only at the same heading.
 fn note_turns(made: &Made) {
     let arc = made.layout.heading_arc(&made.examples).map(f64::to_degrees);
     if let Some(arc) = arc.filter(|arc| *arc > TURNS) {

@@ -23,7 +23,7 @@ pub mod train;
 pub mod view;
 pub mod warp;
 
-/// The nearest of `names`, if it is similar.
+/// The name in `names` nearest to `found`, if similar.
 fn nearest<'a>(found: &str, names: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     let similar = names.map(|name| (strsim::jaro_winkler(found, name), name));
     let near = similar.filter(|(similarity, _)| *similarity > 0.8);

@@ -66,7 +66,7 @@ pub fn run(arguments: PrepareArguments) -> Result<ExitCode, Error> {
     }))
 }
 
-/// Prints the report of a preparation, if it was not stopped, and returns the exit code.
+/// Prints the report of a preparation that was not stopped, and returns the exit code.
 fn ended<R: Serialize>(
     json: bool,
     report: Option<R>,
@@ -161,7 +161,7 @@ fn print_stale(count: usize, items: &str) {
     }
 }
 
-/// Most lines that are listed below a heading.
+/// Largest number of lines below a heading.
 const LISTED: usize = 20;
 
 fn print_clips(report: &ClipsReport) {
@@ -207,7 +207,7 @@ fn print_clips(report: &ClipsReport) {
     }
 }
 
-/// Prints lines below a heading, and the number of those that are left out.
+/// Prints lines below a heading, and the number of omitted lines.
 fn list(heading: &str, lines: Vec<String>) {
     if lines.is_empty() {
         return;
@@ -222,7 +222,7 @@ fn list(heading: &str, lines: Vec<String>) {
     }
 }
 
-/// Agreement of stated and tracked beats, and the beats that segments are aligned with.
+/// Agreement of stated and tracked beats, and the beats to which segments are aligned.
 fn print_grids(takes: &[TakeReport]) {
     let header = [
         "take",

@@ -37,7 +37,7 @@ pub fn run(systems: Systems<'_>, arguments: ReportArguments) -> Result<ExitCode,
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes to a temporary name first, so that a failure does not damage an existing page.
+/// Writes a temporary file first, so that a failure does not damage an existing page.
 fn write(out: &Path, text: &str) -> Result<(), Error> {
     if out.is_dir() {
         let message = format!("`--out {}` is a folder", out.display());
@@ -57,7 +57,7 @@ fn write(out: &Path, text: &str) -> Result<(), Error> {
 
 /// The stages of a fine-tuning, in its folder.
 fn stages(systems: Systems<'_>, run: &Run) -> Vec<Run> {
-    // A run without a config yet may have stages of any system.
+    // A run without a config may have stages of any system.
     let all = systems.0.iter().flat_map(|system| system.stages());
     let names: Vec<&str> = match run.config {
         None if run.stages.is_empty() => all.copied().collect(),

@@ -54,7 +54,7 @@ pub fn run(systems: Systems<'_>, arguments: RunsArguments) -> Result<ExitCode, E
     Ok(ExitCode::SUCCESS)
 }
 
-/// The run's path below the folder; the folder's name for the folder itself.
+/// The run's path relative to the folder; the folder's name if the folder is the run.
 fn name(run: &Run, folder: &Path) -> String {
     let below = run.folder.strip_prefix(folder).unwrap_or(&run.folder);
     match below.as_os_str().is_empty() {
@@ -81,7 +81,7 @@ fn row(run: &Run, folder: &Path) -> [String; 7] {
     ]
 }
 
-/// A duration, in days if it is long.
+/// A duration; long durations are in days.
 fn age_of(seconds: f64) -> String {
     let days = seconds / 86_400.0;
     match days < 2.0 {

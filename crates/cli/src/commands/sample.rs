@@ -22,7 +22,7 @@ pub fn run(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode,
 /// Largest number of attempts to find a checkpoint.
 const ATTEMPTS: usize = 5;
 
-/// Reads a checkpoint with `read`, again if a running training removed it.
+/// Reads a checkpoint with `read`. Tries again if a running training has removed the checkpoint.
 pub fn while_it_is_trained<T>(mut read: impl FnMut() -> Result<T, Error>) -> Result<T, Error> {
     for _ in 1..ATTEMPTS {
         match read() {
@@ -81,7 +81,7 @@ struct Results {
 /// The checkpoint of a run, or the one at `path`.
 pub fn checkpoint(path: &Path) -> Result<SavedCheckpoint, Error> {
     resolve_checkpoint(path, |damaged| {
-        // A running training may have removed it.
+        // A running training may have removed the checkpoint.
         let gone = matches!(damaged, Error::CheckpointDamaged { path, .. } if !path.exists());
         if !gone {
             tell!("warning: {damaged}");
@@ -159,7 +159,7 @@ mod tests {
             }
         });
         assert_eq!(read.expect("the third"), 3);
-        // One that is there is damaged.
+        // An existing checkpoint that cannot be read is damaged.
         let mut reads = 0;
         let read = while_it_is_trained(|| -> Result<(), Error> {
             reads += 1;

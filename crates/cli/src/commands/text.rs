@@ -58,7 +58,7 @@ pub fn embed(arguments: EmbedArguments) -> Result<ExitCode, Error> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The texts to embed by tensor; at least one.
+/// The texts to embed, by tensor; fails without a text.
 fn texts(arguments: &EmbedArguments) -> Result<Vec<(String, Vec<String>)>, Error> {
     if let Some(dataset) = &arguments.dataset {
         let clips = read_captions(dataset)?.into_iter();

@@ -26,7 +26,7 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
     let target = arguments.target()?;
     let (json, dry_run) = (arguments.json, arguments.dry_run);
     let mut overrides = arguments.overrides;
-    // Quoted, so that a name of digits stays a name.
+    // With quotes, a name of digits stays a string.
     let set = |key: &str, value: String| format!("{key}={}", serde_json::Value::from(value));
     overrides.extend(arguments.name.map(|name| set("run.name", name)));
     overrides.extend(arguments.device.map(|device| set("run.device", device)));
@@ -81,7 +81,7 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
             summary(0);
             return Ok(ExitCode::from(130));
         }
-        // The outcome keeps the run locked until then.
+        // The outcome keeps the run locked until the samples are written.
         let (count, step, remark) = write_final_samples(systems, &outcome)?;
         if !json {
             let folder = outcome.folder.join(SAMPLES);
@@ -95,17 +95,18 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
     Ok(ExitCode::SUCCESS)
 }
 
-/// True if the samples of the run's end are missing: they were interrupted or removed.
+/// True if the samples of the run's end are missing: the writing was interrupted, or the samples
+/// were removed.
 fn lacks_samples(outcome: &Outcome) -> bool {
     let unfinished = outcome.folder.join(UNFINISHED_SAMPLES).exists();
     let owed = unfinished || !outcome.folder.join(SAMPLES).exists();
     owed && outcome.config.sampling.count_at_end > 0
 }
 
-/// Writes the samples of a run's end to its folder, if they are missing, without output.
+/// Writes missing samples of a run's end to the run's folder. Prints nothing.
 ///
 /// # Errors
-/// If they cannot be sampled or written.
+/// If the samples cannot be generated or written.
 pub fn sample_at_end(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Error> {
     if lacks_samples(outcome) {
         write_final_samples(systems, outcome)?;
@@ -172,7 +173,7 @@ fn summarise(outcome: &Outcome, seconds: f64) {
     say!("{}", facts(rows.into_iter().flatten()));
 }
 
-/// The number of samples at the end of a training, the step of their checkpoint, and their summary.
+/// The number of samples at the end of training, the step of their checkpoint, and their summary.
 type FinalSamples = (usize, u64, Option<sampling::Summary>);
 
 /// Writes samples for the first held-out items to the run's folder, all or none.
@@ -191,7 +192,8 @@ fn write_final_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<FinalS
     Ok((files.written, trained.saved.state.step, summary))
 }
 
-/// Moves a folder, or its files into an existing one, replacing files.
+/// Moves a folder. If the target folder exists, moves the files into the target and replaces
+/// existing files.
 fn move_into(from: &Path, to: &Path) -> Result<(), Error> {
     if (to.exists() || to.is_symlink()) && !to.is_dir() {
         let to = to.display();

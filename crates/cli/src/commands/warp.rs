@@ -18,10 +18,10 @@ use crate::io::{Content, MotionArray, bvh_file, must_be_new, stem, write_all};
 use crate::output::unusable;
 use crate::{folder, interrupt, output};
 
-/// Speed ratios of a stretched motion without a warning.
+/// Speed ratios of a stretched motion that cause no warning.
 const USUAL: std::ops::RangeInclusive<f64> = 0.67..=1.5;
 
-/// Distance that legs may be too short by without a warning, metres.
+/// Largest missing leg length that causes no warning, meters.
 const LEGS_SHORT: f64 = 0.02;
 
 /// The record of a warp.
@@ -33,14 +33,14 @@ struct Record {
     path_sha256: String,
     path_content: PathPlan,
     warp: Warp,
-    /// None without `--lock-feet`.
+    /// `None` without `--lock-feet`.
     #[serde(skip_serializing_if = "Option::is_none")]
     feet: Option<Feet>,
     frames: usize,
     fps: f64,
     /// Length of the path, metres.
     path_length: f64,
-    /// Speed of the root after by before; 0 for a motion that stood.
+    /// Ratio of the root's speed after and before; 0 for a motion that stood.
     speed_ratio: f64,
     before: Quality,
     after: PathReport,
@@ -49,7 +49,7 @@ struct Record {
 /// Locked feet.
 #[derive(Serialize)]
 struct Feet {
-    /// Share of frames of the input in which a foot stands.
+    /// Share of the input's frames in which a foot stands.
     in_contact: f64,
     /// Mean speed of standing feet on the path before and after, metres per second.
     slid_before: f64,
@@ -212,7 +212,7 @@ impl Quality {
     }
 }
 
-/// The floor of a motion: y = 0, or its lowest joint if that is higher.
+/// The floor of a motion: y = 0, or the lowest joint if all joints are higher.
 fn floor_of(joints: &Joints) -> f64 {
     let heights = joints.as_slice().iter().map(|place| place[1]);
     heights.fold(f64::INFINITY, f64::min).max(0.0)

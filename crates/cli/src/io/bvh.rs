@@ -1,4 +1,4 @@
-//! BVH files: read with a guess of their units and vertical, and written in centimetres.
+//! Reads BVH files, with a guess of their unit and vertical axis, and writes them in centimeters.
 
 use std::path::Path;
 
@@ -14,13 +14,13 @@ use crate::output::unusable;
 /// Largest file that is read, bytes.
 const LARGEST: u64 = 1 << 30;
 
-/// Height of a person's joints, metres, for guessing the unit.
+/// Height of a person's joints in meters, for guessing the unit.
 const PERSON: f64 = 1.6;
 
-/// Units of a written BVH file in a metre.
+/// Units per meter in a written BVH file.
 pub const CENTIMETRES: f64 = 100.0;
 
-/// Distance between a BVH file and its motion that is not mentioned, metres.
+/// Largest deviation of a BVH file from its motion without a note, meters.
 const EXACT: f64 = 1e-3;
 
 /// True for the name of a BVH file.
@@ -28,7 +28,7 @@ pub fn is_bvh(path: &Path) -> bool {
     has_extension(path, "bvh")
 }
 
-/// Reads a BVH file. Fails if it cannot be read or is not a BVH file.
+/// Reads a BVH file. Fails if the file cannot be read or is not BVH.
 pub fn read_bvh(path: &Path) -> Result<Bvh, Error> {
     let file = path.display().to_string();
     let bytes = read_file(path, LARGEST).map_err(|error| {
@@ -38,7 +38,7 @@ pub fn read_bvh(path: &Path) -> Result<Bvh, Error> {
     Bvh::parse(&bytes, &file).map_err(unusable)
 }
 
-/// The unit and vertical of BVH files; guessed from the body if absent.
+/// The unit and vertical axis of BVH files; absent values are guessed from the body.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct BvhReading {
     /// Length of a unit.
@@ -47,7 +47,7 @@ pub struct BvhReading {
     pub up: Option<UpAxis>,
 }
 
-/// A BVH file, the metres of its unit, and its vertical.
+/// A BVH file, its unit in meters, and its vertical axis.
 pub struct Capture {
     /// The motion in the file's own units and axes.
     pub bvh: Bvh,
@@ -56,7 +56,7 @@ pub struct Capture {
 }
 
 impl Capture {
-    /// Reads a BVH file, and prints the unit and vertical if they are guesses.
+    /// Reads a BVH file. Prints the unit and the vertical axis if one is a guess.
     pub fn read(path: &Path, reading: &BvhReading) -> Result<Self, Error> {
         let bvh = read_bvh(path)?;
         let up = reading.up.unwrap_or_else(|| guess_up(&bvh));
@@ -91,7 +91,7 @@ impl Capture {
 /// Joint positions as the text of a BVH file, in centimetres.
 ///
 /// # Errors
-/// If they cannot be written as BVH.
+/// If the positions cannot be written as BVH.
 pub fn bvh_text(joints: &Joints, skeleton: &Skeleton) -> Result<String, Error> {
     Ok(as_bvh(joints, skeleton)?.to_text())
 }
@@ -101,8 +101,8 @@ pub fn as_bvh(joints: &Joints, skeleton: &Skeleton) -> Result<Bvh, Error> {
     Bvh::from_joints(joints, skeleton, CENTIMETRES).map_err(unusable)
 }
 
-/// Joint positions as the BVH file `path`, in centimetres; prints its distance from them. With
-/// `lock_feet`, feet stay where they stand.
+/// Joint positions as the BVH file `path`, in centimeters; prints the file's deviation from the
+/// positions. `lock_feet` locks standing feet.
 pub fn bvh_file(
     path: &Path,
     joints: &Joints,
@@ -117,7 +117,7 @@ pub fn bvh_file(
     }
 }
 
-/// Notes the distance of a BVH file from its motion, if it is noticeable.
+/// Prints a note if a BVH file deviates noticeably from its motion.
 fn note_deviation(path: &Path, bvh: &Bvh, joints: &Joints, skeleton: &Skeleton) {
     let deviation = bvh.deviation(joints, skeleton, CENTIMETRES);
     if let Some(worst) = deviation.filter(|worst| worst.metres > EXACT) {
@@ -133,14 +133,14 @@ fn note_deviation(path: &Path, bvh: &Bvh, joints: &Joints, skeleton: &Skeleton) 
     }
 }
 
-/// `bvh`, made from `joints` for the file `path`, with locked feet; prints how far they slid.
+/// `bvh`, made from `joints` for the file `path`, with locked feet; prints the sliding speeds.
 fn with_locked_feet(
     path: &Path,
     bvh: &Bvh,
     joints: &Joints,
     skeleton: &Skeleton,
 ) -> Result<Bvh, Error> {
-    // In BVH bones have constant lengths: feet that are locked before would slide again.
+    // BVH has constant bone lengths: feet that were locked before the conversion would slide again.
     let rigid = bvh.joints_of(skeleton, CENTIMETRES);
     let rigid = rigid.expect("a file of these joints");
     let locked = lock_joints(&rigid, joints, skeleton, &ContactRule::default(), 0.0)?;
@@ -158,8 +158,8 @@ fn with_locked_feet(
     as_bvh(&locked.joints, skeleton)
 }
 
-/// The axis along which feet are further below the median joint; y if no joint is named as a foot.
-/// The root is ignored, because some files leave it at the origin.
+/// The axis along which feet are further below the median joint; y if no joint has a foot's name.
+/// The root counts only towards the median, because some files leave it at the origin.
 pub fn guess_up(bvh: &Bvh) -> UpAxis {
     up_of(&names(bvh), &first_frame(bvh))
 }
@@ -179,8 +179,8 @@ fn up_of(names: &[String], places: &[[f64; 3]]) -> UpAxis {
     if is_z { UpAxis::Z } else { UpAxis::Y }
 }
 
-/// The unit in which the height of the body is nearest to a person's. The ground is at 0, or at the
-/// lowest joint below that.
+/// The unit in which the body's height is nearest to a person's height. The ground is at 0, or at
+/// the lowest joint if that joint is below 0.
 pub fn guess_units(bvh: &Bvh, up: UpAxis) -> Units {
     units_of(&first_frame(bvh), up)
 }
@@ -206,7 +206,7 @@ fn in_words(units: Units) -> &'static str {
     }
 }
 
-/// True for the name of a joint of a foot, without end effectors.
+/// True for the name of a foot or toe joint that is not an end effector.
 pub fn is_foot(name: &str) -> bool {
     let name = name.rsplit(':').next().unwrap_or(name).to_lowercase();
     (name.contains("foot") || name.contains("toe")) && !name.ends_with("end")
@@ -256,7 +256,7 @@ mod tests {
         // Hips and head alone, in centimetres.
         let bust = [[0.0, 90.0, 0.0], [0.0, 102.0, 0.0]];
         assert_eq!(units_of(&bust, UpAxis::Y), Units::Cm);
-        // The hips are the origin, and feet are below.
+        // The hips are at the origin, and the feet below.
         let hung = [[0.0; 3], [0.0, 24.0, 0.0], [0.0, -37.0, 0.0]];
         assert_eq!(units_of(&hung, UpAxis::Y), Units::Inch);
     }

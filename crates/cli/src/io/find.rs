@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use kinegrad_train::Error;
 
-/// Endings of the files with other forms of a sample.
+/// Endings of companion files: other forms of a sample.
 const COMPANIONS: [&str; 3] = [".raw.npy", ".features.npy", ".path.npy"];
 
 /// A file's name without its folder and extension.
@@ -21,14 +21,14 @@ pub fn has_extension(path: &Path, extension: &str) -> bool {
     found.is_some_and(|found| found.eq_ignore_ascii_case(extension))
 }
 
-/// True for the name of a file beside a sample.
+/// True for the name of a sample's companion file.
 pub fn is_companion(path: &Path) -> bool {
     let name = path.to_string_lossy();
     COMPANIONS.iter().any(|ending| name.ends_with(ending))
 }
 
-/// The files at `paths`. Folders are searched for files with these endings; of a sample in a folder
-/// only the array itself counts, not the files beside it. Fails if there is no motion at a path.
+/// The files at `paths`. A folder gives its files with these endings, without companion files of
+/// samples. Fails if a path has no motion.
 pub fn motion_files(paths: &[PathBuf], endings: &[&str]) -> Result<Vec<PathBuf>, Error> {
     let mut files = Vec::new();
     for path in paths {
@@ -65,7 +65,7 @@ fn collect(path: &Path, endings: &[&str], files: &mut Vec<PathBuf>) {
     }
 }
 
-/// True for another form of a sample that exists.
+/// True for the companion file of an existing sample.
 fn has_sample(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let mut endings = COMPANIONS.iter().chain([&".bvh"]);
@@ -73,7 +73,7 @@ fn has_sample(path: &Path) -> bool {
     stem.is_some_and(|stem| path.with_file_name(format!("{stem}.npy")).exists())
 }
 
-/// The files, each followed by the raw model output beside it, if there is one that is not listed.
+/// The files, each followed by its raw model output if that file exists and is not listed.
 pub fn with_raw(files: Vec<PathBuf>) -> Vec<PathBuf> {
     let listed: HashSet<PathBuf> = files.iter().cloned().collect();
     let each = files.into_iter().flat_map(|file| {
@@ -84,7 +84,7 @@ pub fn with_raw(files: Vec<PathBuf>) -> Vec<PathBuf> {
     each.flatten().collect()
 }
 
-/// The files of a folder with one of these endings, by name; none without the folder.
+/// The files of a folder with one of these endings, by name; empty without the folder.
 pub fn files_in(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let mut paths: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();

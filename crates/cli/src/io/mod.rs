@@ -1,4 +1,4 @@
-//! Motion files: found, read, and written.
+//! Finds, reads and writes motion files.
 
 mod bvh;
 mod find;

@@ -13,7 +13,8 @@ use super::bvh::{BvhReading, Capture, is_bvh};
 pub enum Motion {
     /// An array of a known representation.
     Array(MotionArray),
-    /// Joint positions `[T, J, 3]` of an unknown skeleton, and the error of commands that need one.
+    /// Joint positions `[T, J, 3]` of an unknown skeleton, and the error of commands that need a
+    /// skeleton.
     Points(Joints, Error),
     /// A BVH file.
     Bvh(Capture),

@@ -1,4 +1,4 @@
-//! Files to write: named, refused if they are there, written together.
+//! Output files: their names, a check for existing files, and writing all or none.
 
 use std::fs;
 use std::path::{MAIN_SEPARATOR, Path, PathBuf};
@@ -7,8 +7,7 @@ use kinegrad_data::{write_values, write_whole};
 use kinegrad_motion::humanml::Features;
 use kinegrad_train::Error;
 
-/// The beginning of the names of files that `--out` gives, without `.npy`. Fails if it names a
-/// folder.
+/// The prefix of output file names from `--out`, without `.npy`. Fails if `--out` names a folder.
 pub fn stem(out: &Path) -> Result<String, Error> {
     let text = out.to_string_lossy();
     let stem = text.strip_suffix(".npy").unwrap_or(&text);
@@ -26,8 +25,8 @@ pub fn stem(out: &Path) -> Result<String, Error> {
     ))
 }
 
-/// Refuses outputs that are read as well, or exist and must not be replaced; `option` names them.
-/// The error names the first.
+/// Refuses outputs that are also inputs, or that exist and must not be replaced. The error names
+/// the first such output, and `option` as the option to change.
 pub fn must_be_new<'a>(
     outputs: impl IntoIterator<Item = &'a PathBuf, IntoIter: Clone>,
     read: &[PathBuf],
@@ -35,7 +34,7 @@ pub fn must_be_new<'a>(
     option: &str,
 ) -> Result<(), Error> {
     let outputs = outputs.into_iter();
-    // Files are compared, not names.
+    // Compares files instead of names.
     let read: Vec<PathBuf> = read
         .iter()
         .filter_map(|path| path.canonicalize().ok())
@@ -81,7 +80,7 @@ impl<'a> Content<'a> {
     }
 }
 
-/// Writes all files, or removes those that were written. Fails if one cannot be written.
+/// Writes all files. Fails if a file cannot be written, and removes the files before it.
 pub fn write_all(files: &[(PathBuf, Content<'_>)]) -> Result<(), Error> {
     for (i, (path, content)) in files.iter().enumerate() {
         let written = match content {

@@ -18,7 +18,7 @@ const RECORD: &str = ".json";
 /// A sample that was written.
 #[derive(Serialize)]
 pub struct Written {
-    /// Its files, the motion first and the record last.
+    /// Files of the sample, the motion first and the record last.
     pub files: Vec<PathBuf>,
     /// Its record.
     pub record: Record,
@@ -30,12 +30,12 @@ pub struct Files {
     stem: String,
     overwrite: bool,
     bar: Option<Denoising>,
-    /// Prints neither files nor notes on them.
+    /// Prints neither files nor notes.
     is_silent: bool,
     /// Collects the samples in `collected` instead of printing their files.
     pub(crate) collects: bool,
     pub(crate) collected: Vec<Written>,
-    /// Feet of BVH files are locked.
+    /// Locks the feet in BVH files.
     pub(crate) lock_feet: bool,
     /// Number of samples written.
     pub(crate) written: usize,
@@ -74,11 +74,11 @@ impl Files {
         self.path(&sample.name, extension)
     }
 
-    /// Writes all files of a sample and returns them, the motion first and the record last; or
-    /// removes those that were written.
+    /// Writes all files of a sample and returns their paths, the motion first and the record last.
+    /// On failure, removes the files that were written.
     ///
     /// # Errors
-    /// If one cannot be written.
+    /// If a file cannot be written.
     pub fn write(&self, sample: &Sample) -> Result<Vec<PathBuf>, Error> {
         let mut files = Vec::with_capacity(sample.files.len() + 1);
         for (extension, contents) in &sample.files {
@@ -106,10 +106,10 @@ impl Files {
     }
 }
 
-/// Rejects a motion whose numbers are not finite; `stem` begins the names of its files.
+/// Rejects a sample with numbers that are not finite; `stem` is the prefix of its file names.
 ///
 /// # Errors
-/// Names the first file.
+/// If an array has a number that is not finite; the error names the first such file.
 pub fn must_be_finite(sample: &Sample, stem: &str) -> Result<(), Error> {
     for (extension, contents) in &sample.files {
         if let Contents::Array { values, .. } = contents
@@ -148,7 +148,7 @@ impl SampleSink for Files {
         let start = start.to_string_lossy();
         let is_here = folder.as_os_str().is_empty();
         let folder = if is_here { Path::new(".") } else { folder };
-        // There may be a billion names, so existing files are compared with them.
+        // A billion names are possible, so the test compares the existing files with the names.
         let entries = fs::read_dir(folder).into_iter().flatten().flatten();
         let files = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
         let is_taken = |file: &String| {

@@ -5,7 +5,7 @@ use kinegrad_report::scene::{Contact, Curves, SceneObject};
 
 use crate::io::is_foot;
 
-/// Height of the person that the thresholds of contacts are for, metres.
+/// Height of a person for whom the contact thresholds hold, meters.
 const PERSON: f64 = 1.7;
 
 /// Largest height of a standing joint above its lowest position, metres.
@@ -14,11 +14,11 @@ const LOW: f64 = 0.05;
 /// Largest speed of a standing joint, metres per second.
 const SLOW: f64 = 0.4;
 
-/// The figure of a body's joints. `feet` are the joints that can stand on the ground, by default
-/// those named as feet and toes.
+/// The figure of a body's joints. `feet` are the joints that can stand on the ground; by default,
+/// joints with names of feet or toes.
 ///
-/// A foot stands if it is within 5 cm of its lowest position and slower than 0.4 m/s, for a person
-/// 1.7 m tall; thresholds scale with the height.
+/// A foot stands within 5 cm of its lowest position if it is slower than 0.4 m/s. The thresholds
+/// are for a person 1.7 m tall and scale with the height.
 pub fn figure(
     name: String,
     fps: f64,
@@ -52,7 +52,7 @@ pub fn figure(
     }
 }
 
-/// The largest height from the lowest to the highest joint, over about 50 frames.
+/// The largest distance from the lowest to the highest joint, over about 50 frames.
 fn height(joints: &Joints) -> f64 {
     let step = joints.frames().div_ceil(50);
     let heights = (0..joints.frames()).step_by(step).map(|t| {
@@ -103,7 +103,7 @@ mod tests {
 
     #[test]
     fn a_foot_stands_while_it_is_low_and_slow() {
-        // Ten frames on the ground, ten up and ahead, ten on the ground again.
+        // Ten frames on the ground, ten frames up and forward, ten frames on the ground.
         let place = |t: usize| match t {
             0..10 => [0.0, 0.02, 0.0],
             10..20 => [0.0, 0.2, 0.05 * (t - 9) as f64],

@@ -13,7 +13,7 @@ use crate::output::unusable;
 /// Largest file of a song, bytes.
 const LARGEST: u64 = 1 << 30;
 
-/// A song and the position in it at which the motion starts.
+/// A song, and the motion's start in the song.
 #[derive(Clone, Debug)]
 pub struct Music {
     /// The file.
@@ -22,9 +22,9 @@ pub struct Music {
     pub start: f64,
 }
 
-/// The song with its beats during `seconds` of motion: the file, or if that is smaller the part
-/// during the motion as uncompressed mono. Fails if the song cannot be decoded, or the motion would
-/// start outside of it.
+/// The song with its beats during `seconds` of motion: the file, or the part during the motion as
+/// uncompressed mono if that part is smaller. Fails if the song cannot be decoded, or the motion
+/// would start outside the song.
 pub fn song(music: &Music, seconds: f64) -> Result<Song, Error> {
     let Music { song: path, start } = music;
     let waveform = kinegrad_audio::decode(path)?;

@@ -20,7 +20,7 @@ struct Record {
     parts: Vec<PartOrigins>,
 }
 
-/// The source frames of the motion of `frames` frames in a file; none without a record of it.
+/// The source frames of a motion with `frames` frames in a file; `None` without a matching record.
 pub fn beside(motion: &Path, frames: usize) -> Option<Origins> {
     let bytes = read_file(&motion.with_extension("json"), LARGEST).ok()?;
     let record: Record = serde_json::from_slice(&bytes).ok()?;

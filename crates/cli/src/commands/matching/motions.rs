@@ -29,7 +29,7 @@ pub fn is_clip(path: &Path) -> bool {
     has_extension(path, "npy")
 }
 
-/// Reads a BVH file or a clip. Fails if it is neither, cannot be read, or is a motion without a
+/// Reads a BVH file or a clip. Fails for other files, unreadable files and motions without a
 /// skeleton.
 pub fn read(systems: Systems<'_>, path: &Path) -> Result<Motion, Error> {
     let file = path.display().to_string();

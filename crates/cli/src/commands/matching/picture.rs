@@ -11,13 +11,13 @@ use crate::output;
 /// Pixels of a panel.
 const SIZE: (u32, u32) = (900, 260);
 
-/// Plots the panels below each other; `examples` are the names of the files, with units of `metres`.
+/// Plots the panels below each other; `examples` are the file names, `metres` the unit's length.
 pub fn draw(made: &Made, examples: &[String], metres: f64, out: &Path) -> Result<(), Error> {
     let panels = [origins(made), coverage(made, examples), path(made, metres)];
     output::draw(&panels, 1, SIZE, out)
 }
 
-/// First frame of each example if they follow one another.
+/// First frame of each example in the concatenated examples.
 fn starts(made: &Made) -> Vec<usize> {
     let mut next = 0;
     let starts = made.examples.iter().map(|example| {
@@ -62,7 +62,7 @@ fn coverage(made: &Made, examples: &[String]) -> Panel {
     Panel::strip("used frames of the examples", fps, tracks)
 }
 
-/// The root path, and that of the first example.
+/// The root paths of the motion and of the first example.
 fn path(made: &Made, metres: f64) -> Panel {
     let of = |frames| {
         let path = made.layout.path(frames).into_iter();

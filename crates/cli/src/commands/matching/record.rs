@@ -9,10 +9,10 @@ use serde::Serialize;
 
 use crate::args::MatchArguments;
 
-/// Excess of still frames over the examples that is mentioned.
+/// Least excess of still frames over the examples for a message.
 const MORE_STILL: f64 = 0.03;
 
-/// Ratio of jerk to that of the sources that is mentioned, with fixed parts.
+/// Least ratio of jerk to the sources' jerk for a message, with fixed parts.
 const SHAKING: f64 = 1.3;
 
 /// Settings and measures of a matched motion.
@@ -48,18 +48,19 @@ pub struct Record {
     seam: Option<Seam>,
     /// None for a motion of one frame.
     still: Option<Stillness>,
-    /// None if the motions are too short or too long to compare.
+    /// `None` if the motions are too short or too long to compare.
     measures: Option<Measures>,
 }
 
-/// A part of the body, and its copies of the examples.
+/// A part of the body, and its runs copied from the examples.
 #[derive(Serialize)]
 struct PartRecord {
     name: String,
     joints: Vec<String>,
     #[serde(flatten)]
     novelty: Novelty,
-    /// Runs copied from an example: first frame, example, first frame in it, number of frames.
+    /// Runs copied from an example: first frame, example, first frame in the example, number of
+    /// frames.
     runs: Vec<[usize; 4]>,
 }
 

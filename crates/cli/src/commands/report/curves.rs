@@ -1,4 +1,4 @@
-//! The curves of a training.
+//! The curves of a training run.
 
 use kinegrad_report::{Panel, Series};
 use kinegrad_train::telemetry::Record;
@@ -12,7 +12,8 @@ const SPEED: &str = "steps_per_second";
 /// Order of the first scalars.
 const ORDER: [&str; 5] = ["loss", "val_loss", "lr", "grad_norm", SPEED];
 
-/// All scalars over steps, related ones in one chart. Terms of a loss are shown if there are several.
+/// All scalars over steps; related scalars share a chart. A loss with several terms shows its
+/// terms.
 pub fn charts(records: &[Record]) -> Vec<Panel> {
     let mut names: Vec<&str> = Vec::new();
     for (name, _) in records.iter().flat_map(|record| &record.scalars) {
@@ -20,7 +21,7 @@ pub fn charts(records: &[Record]) -> Vec<Panel> {
             names.push(name);
         }
     }
-    // The speed in records of validations is not that of training.
+    // Records of validations have another speed than training.
     let counts = |record: &Record, name: &str| name != SPEED || record.get("loss").is_some();
     let line = |name: &str, prefix: &str| -> Series {
         let measured = records.iter().filter(|record| counts(record, name));
@@ -31,7 +32,7 @@ pub fn charts(records: &[Record]) -> Vec<Panel> {
         let lines = names.iter().map(|name| line(name, prefix));
         Panel::lines(title, "step", lines.collect())
     };
-    // Colours and places do not depend on the first record.
+    // Colors and places do not depend on the first record.
     let place = |name: &&str| ORDER.iter().position(|known| known == name);
     names.sort_by_key(|name| place(name).unwrap_or(ORDER.len()));
     let mut charts = Vec::new();
@@ -64,7 +65,7 @@ pub fn charts(records: &[Record]) -> Vec<Panel> {
     charts
 }
 
-/// Seconds of training; each start counts from zero.
+/// Seconds of training, summed over starts; the records of each start count from zero.
 pub fn training_seconds(records: &[Record]) -> f64 {
     let mut total = 0.0;
     let mut before: f64 = 0.0;

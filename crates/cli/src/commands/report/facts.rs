@@ -48,7 +48,7 @@ pub fn highlights(run: &Run, records: &[Record], last: Option<&Environment>) -> 
     facts
 }
 
-/// Machine and versions of the last start, or those of the newest checkpoint.
+/// Machine and versions of the last start, or of the newest checkpoint.
 pub fn machine(run: &Run, last: Option<&Environment>) -> Vec<Fact> {
     let Some(last) = last else {
         let state = run.newest.as_ref().map(|(_, state)| state);
@@ -185,7 +185,7 @@ fn moment(time: SystemTime) -> String {
 fn date(seconds: f64) -> String {
     let minutes = (seconds / 60.0).max(0.0) as u64;
     let (days, minutes) = ((minutes / 1440) as i64, minutes % 1440);
-    // Days of a year that begins in March, in cycles of 400 years (Howard Hinnant's algorithm).
+    // Years begin in March, in cycles of 400 years (Howard Hinnant's algorithm).
     let shifted = days + 719_468;
     let (cycle, day) = (shifted / 146_097, shifted % 146_097);
     let year = (day - day / 1_460 + day / 36_524 - day / 146_096) / 365;

@@ -13,7 +13,7 @@ use crate::io::{MotionArray, file_stem, files_in, is_companion};
 use crate::runs::Run;
 use crate::scene;
 
-/// Largest numbers of samples that are checked, and that move.
+/// Largest numbers of checked samples and of moving thumbnails.
 const CHECKED: usize = 200;
 const MOVING: usize = 12;
 
@@ -21,7 +21,7 @@ const MOVING: usize = 12;
 struct Sample {
     name: String,
     seconds: f64,
-    /// None if a position is not finite.
+    /// `None` if a position is not finite.
     scene: Option<Scene>,
     ccmotion: Option<Report>,
     strict: Option<Report>,
@@ -59,7 +59,7 @@ fn read(systems: Systems<'_>, run: &Run, path: &Path) -> Result<Sample, Error> {
     let name = file_stem(path);
     let figure = scene::of(representation, &array.values, name.clone());
     let statistics = statistics(run, representation);
-    // Statistics that came with a dataset are too few for the strict profile.
+    // Statistics that came with a dataset may be insufficient for the strict profile.
     let check = |profile| {
         representation
             .check(&array.values, profile, statistics)
@@ -107,7 +107,7 @@ fn table(samples: &[Sample]) -> Table {
     }
 }
 
-/// The failed checks, each once, with the value of the last profile.
+/// The failed checks without duplicates, each with the value of the last profile.
 fn failing(reports: [&Option<Report>; 2]) -> String {
     let reports = reports.into_iter().flatten();
     let checks = reports.flat_map(|report| &report.checks);
