@@ -1,4 +1,4 @@
-//! Prints what both kinds of emphasis projection come to at 263 features, as a Markdown table.
+//! Prints the measures of both kinds of emphasis projection for 263 features, as a Markdown table.
 //!
 //! `cargo run -p kinegrad-motion --example emphasis_table`
 

@@ -1,4 +1,4 @@
-//! Changes of a phrase that commute with derivation and keep phase and style.
+//! Changes of a phrase that commute with differentiation and keep phase and style.
 
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, POSITION, QUATERNION, VELOCITY};
 use crate::{Phrase, Quaternion};
@@ -15,7 +15,7 @@ pub fn rotate_yaw(motion: &mut Phrase, angle: f64) {
     }
 }
 
-/// Reflects the phrase at the plane x = 0; of the axial angular velocity, y and z are negated.
+/// Reflects the phrase at the plane x = 0. The angular velocity is axial: its y and z are negated.
 pub fn mirror(motion: &mut Phrase) {
     for t in 0..motion.frames() {
         for channels in [POSITION, VELOCITY, ACCELERATION] {
@@ -43,7 +43,7 @@ pub fn mirrored_channels() -> [usize; 7] {
     ]
 }
 
-/// Moves the phrase on the floor so that its first frame is at x = z = 0 (metres).
+/// Moves the phrase on the floor: the first frame is at x = z = 0.
 pub fn anchor_floor(motion: &mut Phrase) {
     let [x0, _, z0] = motion.vector(0, POSITION);
     for t in 0..motion.frames() {
@@ -62,8 +62,8 @@ mod tests {
     use crate::random_phrase::random_phrase;
     use crate::{CHANNELS, Profile, channel_name, check};
 
-    /// The rounding of single precision through two differences: positions of about 1 m carry
-    /// 1e-7 m, times 30 frames per second for each difference.
+    /// Rounding errors of single precision. Positions of about 1 m have errors of 1e-7 m, and each
+    /// difference multiplies errors by 30 frames per second.
     fn rounding(channel: usize) -> f64 {
         match channel {
             c if POSITION.contains(&c) || QUATERNION.contains(&c) => 1e-6,

@@ -1,9 +1,9 @@
 //! Symmetric positive definite band systems, solved in linear time.
 
-/// Diagonals at and below the main one in sums of squared second differences.
+/// Diagonals from the main one down, in sums of squared second differences.
 pub const BAND: usize = 3;
 
-/// The Cholesky factor of a band matrix: entry `[row][d]`, d below `BAND`, is in column `row - d`.
+/// The Cholesky factor of a band matrix: entry `[row][d]` with d < `BAND` is in column `row - d`.
 #[derive(Clone, Debug)]
 pub struct Cholesky<const BAND: usize>(Vec<[f64; BAND]>);
 

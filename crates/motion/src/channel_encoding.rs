@@ -1,8 +1,8 @@
 //! The channels in which a denoiser predicts a phrase, with continuous phase and orientation.
 //!
-//! A phase of 0.99 and one of 0.01 are close in a bar but far apart as numbers, and q and -q are
-//! one rotation but add up to zero. A network that predicts means does badly on both.
-//! [`ChannelEncoding`] replaces them; files keep the 25 channels.
+//! The phases 0.99 and 0.01 are close in a bar but far apart as numbers. The quaternions q and -q
+//! are one rotation but add up to zero. Networks that predict means fail on both.
+//! [`ChannelEncoding`] replaces the two channels; files keep the 25 channels.
 //!
 //! ```text
 //! network   position velocity acceleration orientation angular velocity    phase    style
@@ -22,7 +22,7 @@ use crate::phrase::{ANGULAR_VELOCITY, CHANNELS, PHASE, QUATERNION, STYLE};
 use crate::vector::{cross, dot};
 use crate::{ChannelMoments, Phrase, Quaternion, Statistics, rotate_yaw};
 
-/// Predicted rotation axes whose square is below this are not normalised, nor areas of two.
+/// Smallest squared length of a predicted rotation axis, and of the area of two, in normalizations.
 pub const LEAST_SQUARE: f64 = 1e-8;
 
 /// Encoding of the phase.
@@ -35,16 +35,16 @@ pub enum PhaseEncoding {
     /// Sine and cosine of the phase angle.
     SinCos,
     /// Sine and cosine of the phase angle and of its multiples up to 4: the first Fourier
-    /// coefficients of the distribution of the phase. A network that knows the beat but not the bar
-    /// line predicts zero in the first pair, and the beat in the pair of the bar's number of beats.
+    /// coefficients of the distribution of the phase. If a network knows the beat but not the bar
+    /// line, it predicts zero in the first pair, and the beat in pair n of a bar of n beats.
     Harmonics,
 }
 
-/// Sum of squares of all harmonics below which they do not determine the phase.
+/// Smallest sum of squares of all harmonics that determines a phase.
 pub const LEAST_HARMONICS: f64 = 1e-8;
 
 impl PhaseEncoding {
-    /// Number of multiples of the phase angle that are predicted by sine and cosine.
+    /// Number of predicted multiples of the phase angle, by sine and cosine.
     pub fn harmonics(self) -> usize {
         match self {
             Self::Scalar => 0,
@@ -54,8 +54,8 @@ impl PhaseEncoding {
     }
 }
 
-/// The phase, in [0, 1), of pairs of sine and cosine of its angle and multiples: the phase `t` of
-/// the first pair, corrected by a weighted least-squares step towards the others:
+/// The phase, in [0, 1), from sine and cosine of the phase angle and of multiples. The phase `t` of
+/// the first pair is corrected by a weighted least-squares step towards the other pairs:
 ///
 /// ```text
 /// d_k = (turns of pair k - k t, shortest) / k     w_k = k^2 |pair k|^2
@@ -74,7 +74,7 @@ fn turn_of(pairs: &[f32]) -> f32 {
         all += weight;
     }
     let turn = (first + moved / all).rem_euclid(1.0) as f32;
-    // Values just below 1 may round to it.
+    // Values just below 1 may round to 1.
     if turn >= 1.0 { 0.0 } else { turn }
 }
 
@@ -85,8 +85,8 @@ pub enum OrientationEncoding {
     /// The stored quaternion (CC-MotionGen).
     #[default]
     Quaternion,
-    /// The quaternion of a sample rotated so that its first frame faces +z, with `w >= 0` there and
-    /// continuous sign. All samples then begin in that direction.
+    /// The quaternion of a sample whose first frame is rotated to face +z. The sign is continuous,
+    /// with `w >= 0` in the first frame. All samples then begin in the same direction.
     CanonicalQuaternion,
     /// The first two columns of the rotation matrix, a continuous representation (Zhou et al. 2019,
     /// <https://arxiv.org/abs/1812.07035>).
@@ -104,7 +104,7 @@ pub struct ChannelEncoding {
 }
 
 impl ChannelEncoding {
-    /// Whether these are the 25 stored channels.
+    /// True if these are the 25 stored channels.
     pub fn are_stored_channels(self) -> bool {
         self == Self::default()
     }
@@ -141,7 +141,7 @@ impl ChannelEncoding {
         start..start + STYLE.len()
     }
 
-    /// The channels that mirroring a phrase ([`crate::mirror`]) negates.
+    /// The channels that [`crate::mirror`] negates.
     pub fn mirrored_channels(self) -> Vec<usize> {
         let rotation = self.angular_velocity_channels();
         let moved = |channel: usize| match channel {
@@ -152,7 +152,8 @@ impl ChannelEncoding {
         };
         let mut negated: Vec<usize> = mirrored_channels().into_iter().filter_map(moved).collect();
         if self.orientation == OrientationEncoding::Rotation6d {
-            // S R S with S = diag(-1, 1, 1): y and z of the first column, x of the second.
+            // S R S with S = diag(-1, 1, 1) negates y and z of the first column and x of the
+            // second.
             negated.extend([1, 2, 3].map(|offset| QUATERNION.start + offset));
         }
         negated
@@ -230,7 +231,8 @@ impl ChannelEncoding {
     }
 
     /// Confidence of the predicted heading, 0 to 1, `[frames]`: the area spanned by two columns, or
-    /// the norm of the quaternion. Means of different orientations are short. NaN stays.
+    /// the norm of the quaternion. Both are small for means of different orientations. NaN stays
+    /// NaN.
     pub fn confidence(self, rows: &[f32]) -> Vec<f64> {
         let of_frame = |frame: &[f32]| {
             let mut values = self.orientation_of(frame);
@@ -249,8 +251,8 @@ impl ChannelEncoding {
         values.map(|&value| f64::from(value)).collect()
     }
 
-    /// Statistics that normalise such channels: zero mean and unit deviation, but quaternions,
-    /// rotations, sines and cosines stay as they are, and a phase of 0 to 1 is mapped to -1 to 1.
+    /// Statistics that normalize these channels to zero mean and unit deviation. Quaternions,
+    /// rotations, sines and cosines are not changed. A phase of 0 to 1 is mapped to -1 to 1.
     pub fn statistics(self, moments: ChannelMoments) -> Statistics {
         let mut statistics = Statistics::standard(moments);
         let (orientation, phase) = (self.orientation_channels(), self.phase_channels());
@@ -272,7 +274,8 @@ impl ChannelEncoding {
     }
 }
 
-/// Unit quaternions with continuous sign, the first with `w >= 0`; values that are not finite stay.
+/// Unit quaternions with continuous sign, the first with `w >= 0`. Values that are not finite are
+/// not changed.
 fn canonical_signs(mut quaternions: Vec<Quaternion>) -> Vec<Quaternion> {
     let mut before = Quaternion::IDENTITY;
     for quaternion in &mut quaternions {
@@ -284,8 +287,9 @@ fn canonical_signs(mut quaternions: Vec<Quaternion>) -> Vec<Quaternion> {
     quaternions
 }
 
-/// The rotation of a matrix with these first two columns, `[6]`, by Gram-Schmidt, which keeps the
-/// direction of the first. Its sign is arbitrary; not finite if the columns are not.
+/// The rotation of a matrix with these first two columns, `[6]`, by Gram-Schmidt. The direction of
+/// the first column is kept. The quaternion's sign is arbitrary. The result is finite only for
+/// finite columns.
 pub fn from_columns(columns: &[f64]) -> Quaternion {
     let unit = |v: [f64; 3]| v.map(|part| part / dot(v, v).max(LEAST_SQUARE).sqrt());
     let [a, b] = pair(columns);
@@ -294,13 +298,14 @@ pub fn from_columns(columns: &[f64]) -> Quaternion {
     of_orthonormal(a, unit([0, 1, 2].map(|i| b[i] - along * a[i])))
 }
 
-/// The rotation of the orthonormal columns nearest to these two, `[6]`, in least squares. Its sign
-/// is arbitrary; not finite if the columns are not.
+/// The rotation whose first two columns are nearest to these two, `[6]`, in least squares. The
+/// quaternion's sign is arbitrary. The result is finite only for finite columns.
 ///
-/// A short column, such as the mean of many directions, has little influence. With Gram-Schmidt a
-/// body with uncertain heading would fall over: its side axis is short, its up axis is not.
+/// Short columns, such as means of many directions, have little influence. With Gram-Schmidt a body
+/// with uncertain heading would fall over, because its side axis is short.
 ///
-/// With `M` the columns, `p = |a|^2`, `q = |b|^2`, `r = a.b` and `s = |a x b|`, they are
+/// With `M` the columns, `p = |a|^2`, `q = |b|^2`, `r = a.b` and `s = |a x b|`, the nearest columns
+/// are
 ///
 /// ```text
 /// M (M^T M)^{-1/2} = M [[q + s, -r], [-r, p + s]] / (s sqrt(p + q + 2 s))
@@ -326,7 +331,7 @@ fn of_orthonormal(a: [f64; 3], b: [f64; 3]) -> Quaternion {
         return Quaternion::from([f64::NAN; 4]);
     }
     let c = cross(a, b);
-    // The matrix 4 q q^T: its row of the largest diagonal is q, scaled by 4 times that part.
+    // The matrix 4 q q^T. The row with the largest diagonal is q times 4 times that part of q.
     let (wx, wy, wz) = (b[2] - c[1], c[0] - a[2], a[1] - b[0]);
     let (xy, xz, yz) = (a[1] + b[0], c[0] + a[2], b[2] + c[1]);
     let rows = [

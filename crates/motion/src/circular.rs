@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-/// The shortest step from one position to another, -0.5 to 0.5. Full cycles do not count.
+/// The shortest step from one position to another, -0.5 to 0.5. Full cycles are ignored.
 pub fn step(from: f64, to: f64) -> f64 {
     let step = to - from;
     step - step.round()
@@ -13,12 +13,13 @@ pub fn wrapped(angle: f64) -> f64 {
     angle - TAU * (angle / TAU).round()
 }
 
-/// Distance of two positions, 0 to 0.5; unrelated positions are 0.25 apart on average.
+/// Distance of two positions, 0 to 0.5. The mean distance of unrelated positions is 0.25.
 pub fn distance(a: f64, b: f64) -> f64 {
     step(a, b).abs()
 }
 
-/// Length of the mean of `exp(2 pi i d)` over differences `d`: 1 if all are equal, 0 of none.
+/// Length of the mean of `exp(2 pi i d)` over differences `d`: 1 if all are equal, 0 without
+/// differences.
 pub fn concentration(differences: impl IntoIterator<Item = f64>) -> f64 {
     let (mut sine, mut cosine, mut count) = (0.0, 0.0, 0.0);
     for difference in differences {

@@ -1,7 +1,7 @@
 //! Derivatives of a phrase, and the errors of its explicit channels.
 //!
-//! All are forward differences: the value of frame t comes from frames t and t + 1, and the last
-//! frame repeats the one before (CC-MotionGen, section 2.3; docs/sources.md, section 1.1).
+//! All derivatives are forward differences: the value of frame t comes from frames t and t + 1. The
+//! last frame repeats the previous value (CC-MotionGen, section 2.3; docs/sources.md, section 1.1).
 
 use std::ops::Range;
 
@@ -27,12 +27,12 @@ pub fn angular_velocity(quaternions: &[Quaternion], fps: f64) -> Vec<[f64; 3]> {
 /// [`angular_velocity`] between the frames of a phrase, `[frames - 1, 3]`. NaN stays NaN.
 pub fn angular_rates(motion: &Phrase) -> Vec<[f64; 3]> {
     let mut rates = angular_velocity(&motion.quaternions(), FPS);
-    // The last one repeats the one before.
+    // The last value repeats the previous one.
     rates.pop();
     rates
 }
 
-/// Negates quaternions so that each lies in the hemisphere of the finite one before.
+/// Negates quaternions so that each lies in the hemisphere of the previous finite quaternion.
 pub fn make_sign_continuous(quaternions: &mut [Quaternion]) {
     let mut previous: Option<Quaternion> = None;
     for quaternion in quaternions {
@@ -46,11 +46,12 @@ pub fn make_sign_continuous(quaternions: &mut [Quaternion]) {
 /// A phrase whose velocity, acceleration and angular velocity are derived from its pose.
 ///
 /// `positions` are `[frames, 3]` in metres, `quaternions` of any norm and sign, `phase` 0 to 1,
-/// `style` `[frames, 8]`. Derivatives use the single-precision values. Because the last velocity is
-/// repeated, the acceleration before the last frame is 0: slice off two more frames.
+/// `style` `[frames, 8]`. Derivatives use the single-precision values. The last velocity is
+/// repeated, so the acceleration before the last frame is 0: slice off two more frames.
 ///
 /// # Errors
-/// [`Error::LengthMismatch`] for arrays of different lengths; [`Error::NotWholeFrames`] of nothing.
+/// [`Error::LengthMismatch`] for arrays of different lengths; [`Error::NotWholeFrames`] for empty
+/// arrays.
 pub fn derive(
     positions: &[[f64; 3]],
     quaternions: &[Quaternion],
@@ -91,7 +92,7 @@ pub fn rederive(motion: &mut Phrase) {
     for (t, value) in velocity.into_iter().enumerate() {
         motion.set_vector(t, VELOCITY, value);
     }
-    // The checks compare with the velocity as rounded to single precision.
+    // The checks use the velocity rounded to single precision.
     let acceleration = forward_differences(&motion.vectors(VELOCITY), FPS);
     let turning = angular_velocity(&motion.quaternions(), FPS);
     for (t, (a, w)) in acceleration.into_iter().zip(turning).enumerate() {
@@ -122,7 +123,7 @@ pub fn jerk(motion: &Phrase) -> Vec<[f64; 3]> {
     differences(&motion.vectors(ACCELERATION), FPS)
 }
 
-/// Mean norm of the [`jerk`], metres per second cubed; 0 of a single frame.
+/// Mean norm of the [`jerk`], metres per second cubed; 0 for a single frame.
 pub fn mean_jerk_norm(motion: &Phrase) -> f64 {
     mean_norm(&jerk(motion))
 }
@@ -133,7 +134,8 @@ pub fn mean_norm(vectors: &[[f64; 3]]) -> f64 {
     total / vectors.len().max(1) as f64
 }
 
-/// Mean absolute component of vectors; 0 for none. Between 1/3 and 1/sqrt(3) of the mean norm.
+/// Mean absolute component of vectors; 0 for none. The value is 1/3 to 1/sqrt(3) times the mean
+/// norm.
 pub fn mean_absolute_component(vectors: &[[f64; 3]]) -> f64 {
     let components = vectors.as_flattened().iter();
     let total: f64 = components.map(|component| component.abs()).sum();
@@ -181,7 +183,7 @@ mod tests {
 
     #[test]
     fn angular_velocity_is_in_the_world_frame() {
-        // A body lying on its side turns about the world's +y, whatever its own axes.
+        // A body lying on its side turns about the world's +y, not about its own axes.
         let side = Quaternion::from_rotation_vector([1.5, 0.3, 0.0]);
         let mut spin: Vec<_> = (0..4)
             .map(|t| Quaternion::from_yaw(0.1 * f64::from(t)) * side)

@@ -3,7 +3,7 @@
 use miette::Diagnostic;
 use thiserror::Error;
 
-/// An error about motion data or about the settings of its processing.
+/// An error about motion data or the settings for processing it.
 #[derive(Clone, Debug, Diagnostic, Error, PartialEq)]
 pub enum Error {
     /// The values are not one or more whole frames.
@@ -36,7 +36,7 @@ pub enum Error {
     ))]
     StatisticsNeeded,
 
-    /// The statistics do not describe how training motion moves.
+    /// The statistics do not describe the movement of training motion.
     #[error(
         "the statistics do not describe how training motion moves: they came with a dataset or \
          from an older version of kinegrad"

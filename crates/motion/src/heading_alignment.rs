@@ -1,8 +1,8 @@
 //! Alignment of the headings of overlapping windows.
 //!
 //! A model that was trained on randomly rotated phrases samples windows of any heading. The mean of
-//! opposite headings is undefined, and the dancer spins in the overlap. So windows are rotated
-//! about the vertical before they are moved and blended ([`crate::stitch`]).
+//! opposite headings is undefined, so a blended dancer spins in the overlap. Windows are therefore
+//! rotated about the vertical before [`crate::stitch`] moves and blends them.
 
 use crate::humanml::bone_rotations::to_columns;
 use crate::phrase::{ACCELERATION, POSITION, QUATERNION, VELOCITY};
@@ -14,13 +14,14 @@ use crate::{Quaternion, Statistics};
 pub struct HeadingAlignment<'a> {
     /// The channels.
     pub layout: Layout,
-    /// Statistics that normalise them; none for physical units.
+    /// Statistics that normalize the channels; none for physical units.
     pub statistics: Option<&'a Statistics>,
 }
 
 impl HeadingAlignment<'_> {
-    /// Rotation angles about the vertical, radians, of windows `[windows, channels, length]` that
-    /// agree with `known` frames or their neighbours; without any, the first keeps its heading.
+    /// Rotation angles about the vertical, radians, that align windows `[windows, channels,
+    /// length]` with `known` frames or with neighboring windows. Without known frames, the first
+    /// window keeps its heading.
     pub fn angles(
         &self,
         windows: &Windows,
@@ -116,7 +117,7 @@ impl HeadingAlignment<'_> {
         starts.into_iter().map(|start| [start, start + 2]).collect()
     }
 
-    /// Horizontal components (z, x) of the body's own x and y axes.
+    /// Horizontal components (z, x) of the body's local x and y axes.
     fn facing(&self, value: impl Fn(usize) -> f32) -> [[f64; 2]; 2] {
         let at = |channel: usize| self.physical(channel, value(channel));
         let [x_of_x, _, z_of_x, x_of_y, _, z_of_y] = match self.is_quaternion() {
@@ -145,7 +146,8 @@ impl HeadingAlignment<'_> {
 
 type Facing = [[f64; 2]; 2];
 
-/// The rotation angle from second to first of each pair, in least squares; `None` without pairs.
+/// The least-squares rotation angle from the second to the first of each pair; `None` without
+/// pairs.
 fn angle(pairs: impl Iterator<Item = (Facing, Facing, f64)>) -> Option<f64> {
     let mut sums = None;
     for (here, there, weight) in pairs {
@@ -166,7 +168,7 @@ mod tests {
         ChannelEncoding, OrientationEncoding, PhaseEncoding, Phrase, anchor_floor, rotate_yaw,
     };
 
-    /// The windows of a motion, each anchored where it begins and turned by an angle.
+    /// The windows of a motion, each anchored at its start and turned by an angle.
     fn cut(windows: &Windows, motion: &Phrase, angles: &[f64]) -> Vec<Phrase> {
         let parts = angles.iter().enumerate().map(|(window, angle)| {
             let mut part = motion.slice(windows.of(window));
@@ -205,7 +207,7 @@ mod tests {
         for (a, b) in values.iter().zip(&straight) {
             assert!((a - b).abs() < 0.02, "{a} {b}");
         }
-        // Known frames decide the heading, from the window that has them in both directions.
+        // Known frames determine the heading, from their window in both directions.
         let known = KnownFrames {
             is_known: (0..61).map(|t| (25..30).contains(&t)).collect(),
             values: motion.channel_major(),

@@ -1,8 +1,8 @@
 //! Representations of motion on the host: the 25-channel phrase, joint features as in HumanML3D
 //! ([`humanml`]), rotations, statistics, augmentation, post-processing, checks and metrics.
 //!
-//! There are no tensors with gradients and no file I/O. Coordinates are metres and seconds,
-//! right-handed, +y up; a phrase has [`FPS`] frames per second. Source: CC-MotionGen, sections 2, 9
+//! The crate has no tensors with gradients and no file I/O. Units are metres and seconds,
+//! right-handed, +y up. A phrase has [`FPS`] frames per second. Source: CC-MotionGen, sections 2, 9
 //! and 10 (docs/sources.md, sections 1.1, 1.12 and 1.13).
 //!
 //! ```
@@ -66,5 +66,5 @@ pub use rotation::Quaternion;
 pub use sanity::{Check, Profile, Report, Threshold, Value, check};
 pub use statistics::Statistics;
 
-/// Most frames of a motion or a song: two hours at 30 frames per second.
+/// Largest number of frames of a motion or song: two hours at 30 frames per second.
 pub const MAX_FRAMES: usize = 216_000;

@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Range, mean and deviation of each channel as measured, unlike [`Statistics`](crate::Statistics).
+/// Measured range, mean and deviation of each channel; [`Statistics`](crate::Statistics) may
+/// differ.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct ChannelMoments {
     /// Mean of each channel, `[channels]`.
@@ -20,7 +21,7 @@ pub struct ChannelMoments {
 }
 
 impl ChannelMoments {
-    /// Measures items `[frames, channels]`, row-major; all frames weigh the same.
+    /// Measures items `[frames, channels]`, row-major. All frames have the same weight.
     pub fn measure<'a>(channels: usize, items: impl IntoIterator<Item = &'a [f32]>) -> Self {
         let items: Vec<&[f32]> = items.into_iter().collect();
         let frames = items.iter().map(|item| item.len()).sum::<usize>() / channels;
@@ -61,7 +62,7 @@ impl ChannelMoments {
     }
 }
 
-/// Mean of values; NaN of none.
+/// Mean of values; NaN without values.
 pub(crate) fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
     let count = values.len() as f64;
     values.sum::<f64>() / count
@@ -71,7 +72,7 @@ pub(crate) fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
 pub(crate) fn mean_and_deviation(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
     let count = values.clone().count() as f64;
     let mean = values.clone().sum::<f64>() / count;
-    // Two passes: the difference of two sums of squares would lose small deviations.
+    // Two passes: a difference of sums of squares would lose small deviations.
     let squares = values.map(|value| (value - mean).powi(2));
     (mean, (squares.sum::<f64>() / count).sqrt())
 }

@@ -1,7 +1,7 @@
-//! Measures of how a phrase moves, by its positions, quaternions and phase.
+//! Measures of a phrase's movement, from positions, quaternions and phase.
 //!
-//! The channels of derivatives are not used: generated phrases get them wrong. Checked measures are
-//! means or extremes over frames, so that phrases of different lengths compare.
+//! The derivative channels are not used, because they are inaccurate in generated phrases. Checked
+//! measures are means or extremes over frames, so phrases of different lengths are comparable.
 
 use crate::derivatives::{angular_rates, differences, mean_norm};
 use crate::phrase::{PHASE, POSITION};
@@ -14,7 +14,8 @@ const SECOND: usize = FPS as usize;
 /// Allowed factor beyond the 1st and 99th percentile of the training phrases.
 const FACTOR: f64 = 2.0;
 
-/// The same for the phase: tempi vary less than dancers, and half the slowest tempo is an error.
+/// Allowed factor for the phase. Tempos vary less than dancers, and half the slowest tempo is an
+/// error.
 const PHASE_FACTOR: f64 = 1.5;
 
 /// Tilt in degrees that is always allowed.
@@ -23,22 +24,22 @@ const HARMLESS_TILT: f64 = 20.0;
 /// The sides on which a measure is compared with the training phrases.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Bounds {
-    /// At least the 1st percentile divided by the factor, and at most the 99th times it.
+    /// From the 1st percentile divided by the factor to the 99th percentile times the factor.
     Both(f64),
     /// At most the 99th percentile times the factor.
     Upper(f64),
-    /// The same, but values up to `harmless` are always allowed.
+    /// At most the 99th percentile times `factor`, or at most `harmless`.
     UpperBeyond {
         /// Multiple of the 99th percentile.
         factor: f64,
         /// Value that is always allowed, in the measure's unit.
         harmless: f64,
     },
-    /// Not compared: it depends on the phrase's length.
+    /// Not compared, because the measure depends on the phrase's length.
     Unchecked,
 }
 
-/// A measure of how a phrase moves.
+/// A measure of a phrase's movement.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
 pub enum MotionMeasure {
     /// Mean speed of the root along its path, metres per second.
@@ -49,15 +50,15 @@ pub enum MotionMeasure {
     PathJerk,
     /// Mean distance on the floor between positions one second apart, metres.
     Travel,
-    /// Mean angle between the orientations of neighbouring frames, degrees per second.
+    /// Mean angle between the orientations of neighboring frames, degrees per second.
     TurnRate,
     /// Mean norm of the change of the angular velocity, degrees per second squared.
     TurnAcceleration,
-    /// Largest angle between the orientations of neighbouring frames, degrees.
+    /// Largest angle between the orientations of neighboring frames, degrees.
     LargestTurn,
     /// Largest angle between the body's own upward axis, its local +y, and the vertical, degrees.
     LargestTilt,
-    /// Mean advance of the phase by shortest steps, bars per second.
+    /// Mean advance of the phase, by shortest steps, bars per second.
     PhaseRate,
     /// Largest shortest step of the phase between frames, bars.
     LargestPhaseStep,
@@ -136,10 +137,10 @@ impl MotionMeasure {
         }
     }
 
-    /// The sides on which it is checked, and by which factor.
+    /// The checked sides and the factor.
     pub fn bounds(self) -> Bounds {
         match self {
-            // Low values (even turning, counting, standing) are plausible.
+            // Low values (even turning, even counting, standing) are plausible.
             Self::LargestTurn | Self::LargestPhaseStep | Self::Travel => Bounds::Upper(FACTOR),
             Self::LargestTilt => Bounds::UpperBeyond {
                 factor: FACTOR,
@@ -151,7 +152,7 @@ impl MotionMeasure {
         }
     }
 
-    /// Its value; `None` if the phrase is too short.
+    /// The value; `None` if the phrase is too short.
     pub fn of(self, motion: &Phrase) -> Option<f64> {
         let frames = motion.frames();
         let nth = |order: usize| {
@@ -188,9 +189,9 @@ fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// The largest value, NaN if one is NaN; `None` of none.
+/// The largest value, or NaN if a value is NaN; `None` without values.
 fn largest(values: Vec<f64>) -> Option<f64> {
-    // `f64::max` would drop a NaN.
+    // `f64::max` would ignore NaN.
     let larger = |a: f64, b: f64| if a.is_nan() || a > b { a } else { b };
     values.into_iter().reduce(larger)
 }
@@ -200,7 +201,7 @@ fn floor_distance(motion: &Phrase, from: usize, to: usize) -> f64 {
     (b[0] - a[0]).hypot(b[2] - a[2])
 }
 
-/// Angles between neighbouring frames, degrees, `[frames - 1]`.
+/// Angles between neighboring frames, degrees, `[frames - 1]`.
 fn turns(motion: &Phrase) -> Vec<f64> {
     let degrees = |rate| (length(rate) / FPS).to_degrees();
     angular_rates(motion).into_iter().map(degrees).collect()
@@ -225,7 +226,7 @@ pub fn phase_steps(motion: &Phrase) -> Vec<f64> {
 
 /// Number of bar lines that the phase passes, minus those that it passes backwards.
 fn phase_wraps(motion: &Phrase) -> f64 {
-    // A step of more than half a bar counts as one in the other direction.
+    // A step of more than half a bar counts as a step in the other direction.
     let phases = motion.column(PHASE);
     let pairs = phases.windows(2);
     pairs.map(|pair| (pair[0] - pair[1]).round()).sum()
@@ -236,8 +237,8 @@ mod tests {
     use super::*;
     use crate::derive;
 
-    /// A phrase that walks along x at 0.6 m/s while it turns about the vertical at 90 degrees per
-    /// second, half a bar a second.
+    /// A phrase that walks along x at 0.6 m/s and turns about the vertical at 90 degrees per
+    /// second, at half a bar per second.
     fn constant_motion(frames: usize) -> Phrase {
         let seconds = |t: usize| t as f64 / FPS;
         let positions: Vec<_> = (0..frames).map(|t| [0.6 * seconds(t), 1.0, 0.0]).collect();
@@ -268,7 +269,7 @@ mod tests {
         ];
         for (measure, expected) in MotionMeasure::ALL.into_iter().zip(expected) {
             let value = measure.of(&motion).unwrap();
-            // Third differences of values rounded to single precision.
+            // Third differences amplify the rounding to single precision.
             let tolerance = match measure {
                 MotionMeasure::PathJerk | MotionMeasure::TurnAcceleration => 0.05,
                 _ => 1e-3,
@@ -364,7 +365,7 @@ mod tests {
 
     #[test]
     fn too_few_frames_have_no_value() {
-        // From how many frames on each has one.
+        // Smallest number of frames with a value, by measure.
         let needed = [2, 3, 4, 31, 2, 3, 2, 1, 2, 2, 2, 2];
         for frames in [1, 2, 3, 4, 30, 31] {
             let motion = constant_motion(frames);

@@ -35,7 +35,7 @@ pub const PHASE: usize = 16;
 /// Style descriptors, unbounded.
 pub const STYLE: Range<usize> = 17..25;
 
-/// The name of a channel: `position.x`, `phase`, `style.0`; `channel.{n}` beyond the last.
+/// The name of a channel: `position.x`, `phase`, `style.0`; `channel.{n}` after the last channel.
 pub fn channel_name(channel: usize) -> String {
     let (group, range, parts) = match channel {
         c if POSITION.contains(&c) => ("position", POSITION, "xyz"),
@@ -74,7 +74,7 @@ impl Phrase {
     /// A phrase from channel-major `[25, frames]` values, the layout of the networks.
     ///
     /// # Errors
-    /// [`Error::LengthMismatch`]; [`Error::NotWholeFrames`] of no frames.
+    /// [`Error::LengthMismatch`]; [`Error::NotWholeFrames`] for no frames.
     pub fn from_channel_major(values: &[f32], frames: usize) -> Result<Self, Error> {
         if values.len() != CHANNELS * frames {
             return Err(Error::LengthMismatch {
@@ -103,7 +103,7 @@ impl Phrase {
         &self.data[t * CHANNELS..(t + 1) * CHANNELS]
     }
 
-    /// The 25 channels of frame `t`, to be changed.
+    /// The mutable 25 channels of frame `t`.
     pub fn frame_mut(&mut self, t: usize) -> &mut [f32] {
         &mut self.data[t * CHANNELS..(t + 1) * CHANNELS]
     }
@@ -130,7 +130,7 @@ impl Phrase {
         self.frame_mut(t)[channels][..3].copy_from_slice(&vector);
     }
 
-    /// The orientation in frame `t`, as stored (not normalised).
+    /// The orientation in frame `t`, as stored (not normalized).
     pub fn quaternion(&self, t: usize) -> Quaternion {
         let values = &self.frame(t)[QUATERNION];
         Quaternion::from([0, 1, 2, 3].map(|part| f64::from(values[part])))
@@ -168,7 +168,7 @@ impl Phrase {
         }
     }
 
-    /// Frame and channel of the first NaN or infinity, in reading order.
+    /// Frame and channel of the first NaN or infinity, row by row.
     pub fn first_non_finite(&self) -> Option<(usize, usize)> {
         let place = self.data.iter().position(|value| !value.is_finite())?;
         Some((place / CHANNELS, place % CHANNELS))

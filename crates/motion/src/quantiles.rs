@@ -1,6 +1,7 @@
 //! Medians and percentiles.
 
-/// The `percent`-th percentile of at least one value, interpolated linearly between the two nearest.
+/// The `percent`-th percentile of at least one value, interpolated linearly between the two nearest
+/// values.
 pub fn percentile(mut values: Vec<f64>, percent: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let place = percent / 100.0 * (values.len() - 1) as f64;
@@ -9,7 +10,7 @@ pub fn percentile(mut values: Vec<f64>, percent: f64) -> f64 {
     values[below] + (values[above] - values[below]) * place.fract()
 }
 
-/// The median: of an even number the mean of the middle two, 0 of none.
+/// The median: the mean of the middle two for even numbers, 0 without values.
 pub fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let middle = values.len() / 2;

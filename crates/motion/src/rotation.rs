@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 
 use crate::vector::{length, unit};
 
-/// A Hamilton quaternion; a rotation if its norm is 1. `q` and `-q` are the same rotation.
+/// A Hamilton quaternion. Unit quaternions are rotations; `q` and `-q` are the same rotation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quaternion {
     /// Scalar part.
@@ -37,7 +37,7 @@ impl Quaternion {
         [self.w, self.x, self.y, self.z]
     }
 
-    /// The rotation about +y by `angle` radians: it turns +z towards +x.
+    /// The rotation about +y by `angle` radians, from +z towards +x.
     pub fn from_yaw(angle: f64) -> Self {
         let (sin, cos) = (0.5 * angle).sin_cos();
         Self::new(cos, 0.0, sin, 0.0)
@@ -58,10 +58,10 @@ impl Quaternion {
 
     /// The rotation vector in radians, of length at most pi, for any norm; zero for zero.
     pub fn to_rotation_vector(self) -> [f64; 3] {
-        // Of q and -q, the one with w >= 0 rotates by at most pi.
+        // The quaternion with w >= 0, q or -q, rotates by at most pi.
         let Self { w, x, y, z } = if self.w < 0.0 { self.scale(-1.0) } else { self };
         let sin = length([x, y, z]);
-        // The angle is 2 atan2(sin, w), which is accurate near 0 and pi, unlike acos.
+        // The angle is 2 atan2(sin, w). Unlike acos, this is accurate near 0 and pi.
         let factor = if sin > 1e-12 * w {
             2.0 * sin.atan2(w) / sin
         } else {
@@ -79,7 +79,7 @@ impl Quaternion {
         Self::new(self.w, -self.x, -self.y, -self.z)
     }
 
-    /// The inner product; negative if the two lie in opposite hemispheres.
+    /// The inner product; negative for opposite hemispheres.
     pub fn dot(self, other: Self) -> f64 {
         self.w * other.w + self.x * other.x + self.y * other.y + self.z * other.z
     }
@@ -166,7 +166,8 @@ impl Mul for Quaternion {
 }
 
 /// The shortest rotation from the direction of `from` to that of `to`: the quaternion (|u||v| +
-/// u.v, u x v), normalised. Opposite vectors turn about +y where possible, zero vectors never.
+/// u.v, u x v), normalised. Opposite vectors turn about +y if possible; zero vectors give no
+/// rotation.
 pub fn between(from: [f64; 3], to: [f64; 3]) -> Quaternion {
     let (u, v) = (Vector3::from(unit(from)), Vector3::from(unit(to)));
     let (scalar, mut axis) = (u.norm() * v.norm() + u.dot(&v), u.cross(&v));
@@ -219,7 +220,7 @@ mod tests {
         assert!(close(about(1).rotate(z), x, 1e-15));
         assert!(close(about(2).rotate(x), y, 1e-15));
         assert!(close(Quaternion::from_yaw(quarter).rotate(z), x, 1e-15));
-        // The right factor turns first: y to z, which the second turn takes to x.
+        // The right factor turns y to z first; the left factor then turns z to x.
         assert!(close((about(1) * about(0)).rotate(y), x, 1e-15));
     }
 
@@ -288,7 +289,7 @@ mod tests {
             let v = q.to_rotation_vector();
             prop_assert!(length(v) <= PI + 1e-12);
             prop_assert!(close(q.scale(size).to_rotation_vector(), v, 1e-12));
-            // At exactly half a turn both directions are the shortest.
+            // At exactly half a turn both directions are equally short.
             prop_assume!(q.w.abs() > 1e-9);
             prop_assert!(close(q.scale(-size).to_rotation_vector(), v, 1e-12));
         }

@@ -1,4 +1,4 @@
-//! Statistics of training motion: normalisation, and bounds for sanity checks.
+//! Statistics of training motion, for normalization and the bounds of sanity checks.
 //!
 //! The source trains on raw values and clips predictions to +-1, while positions range over +-100
 //! (docs/sources.md, section 1.14, hazard 6). Here each channel has zero mean and unit deviation,
@@ -17,26 +17,27 @@ pub(crate) const CONSTANT: f64 = 1e-8;
 
 /// Statistics of the training motion, stored in the run.
 ///
-/// A normalised value is `(value - mean) / std`. Deserialising rejects lists of unequal length,
+/// A normalized value is `(value - mean) / std`. Deserialization rejects lists of unequal length,
 /// values that are not finite, and a `std` that is not positive.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
 #[serde(try_from = "Stored", into = "Stored")]
 pub struct Statistics {
-    /// Subtracted by normalisation, `[channels]`.
+    /// Subtracted in normalization, `[channels]`.
     pub mean: Vec<f64>,
-    /// Divided by in normalisation, `[channels]`.
+    /// Divided by in normalization, `[channels]`.
     pub std: Vec<f64>,
-    /// Smallest and largest value of each channel, `[channels]` each; none of published statistics.
+    /// Smallest and largest value of each channel, `[channels]` each; `None` for published
+    /// statistics.
     pub range: Option<[Vec<f64>; 2]>,
     /// Number of frames of all items; 0 if unknown.
     pub frames: usize,
     /// Number of items; 0 if unknown.
     pub items: usize,
-    /// Root mean square of the root's speed, metres per second; as the next two, if measured.
+    /// Root mean square of the root's speed, metres per second, if measured.
     pub rms_speed: Option<f64>,
-    /// Root mean square of the root's acceleration, metres per second squared.
+    /// Root mean square of the root's acceleration, m/s^2, if measured.
     pub rms_acceleration: Option<f64>,
-    /// 95th percentile of the items' mean jerk norms, metres per second cubed.
+    /// 95th percentile of the items' mean jerk norms, metres per second cubed, if measured.
     pub jerk_p95: Option<f64>,
     /// 1st and 99th percentile over the items of each [measure](crate::MotionMeasure), if measured.
     pub movement: BTreeMap<String, [f64; 2]>,
@@ -45,7 +46,7 @@ pub struct Statistics {
 }
 
 impl Statistics {
-    /// Statistics of motion that needs no normalisation, in -1 to 1.
+    /// Statistics of motion in -1 to 1 that needs no normalization.
     pub fn unit(channels: usize) -> Self {
         Self {
             mean: vec![0.0; channels],
@@ -76,7 +77,7 @@ impl Statistics {
     /// Means and deviations that come with a dataset.
     ///
     /// # Errors
-    /// [`Error::InvalidStatistics`] if a value is not finite or a deviation not positive.
+    /// [`Error::InvalidStatistics`] for values that are not finite or deviations not positive.
     pub fn new(mean: Vec<f64>, std: Vec<f64>, root: Option<Root>) -> Result<Self, Error> {
         Self {
             mean,
@@ -92,7 +93,7 @@ impl Statistics {
         self.mean.len()
     }
 
-    /// The normalised values of one channel of `rows`, `[frames, channels]`.
+    /// The normalized values of one channel of `rows`, `[frames, channels]`.
     pub fn normalize_channel<'a>(
         &self,
         rows: &'a [f32],
@@ -103,13 +104,13 @@ impl Statistics {
         frames.map(move |frame| ((f64::from(frame[channel]) - mean) / std) as f32)
     }
 
-    /// The normalised `rows` `[frames, channels]` as channel-major `[channels, frames]`.
+    /// The normalized `rows` `[frames, channels]` as channel-major `[channels, frames]`.
     pub fn normalize(&self, rows: &[f32]) -> Vec<f32> {
         let column = |channel| self.normalize_channel(rows, channel);
         (0..self.channels()).flat_map(column).collect()
     }
 
-    /// The rows `[frames, channels]` of normalised channel-major values `[channels, frames]`.
+    /// The rows `[frames, channels]` of normalized channel-major values `[channels, frames]`.
     pub fn denormalize(&self, values: &[f32]) -> Vec<f32> {
         let frames = values.len() / self.channels();
         let row_major = (0..frames).flat_map(|t| (0..self.channels()).map(move |c| (t, c)));
@@ -118,10 +119,10 @@ impl Statistics {
             .collect()
     }
 
-    /// Normalised range of training motion, `[channels]` each: bounds for predicted data. The
-    /// source's +-1 would clip real data, which reaches 21 standard deviations.
+    /// Normalized range of training motion, `[channels]` each, as bounds for predicted data. The
+    /// source's bounds of +-1 would clip real data, which reaches 21 standard deviations.
     pub fn normalized_range(&self) -> Option<[Vec<f32>; 2]> {
-        // Rounded like the data, so that extreme items stay within.
+        // Bounds are rounded like the data, so extreme items stay within.
         let bound = |values: &Vec<f64>| {
             let values: Vec<f32> = values.iter().map(|&value| value as f32).collect();
             self.normalize(&values)
@@ -193,7 +194,7 @@ impl Statistics {
     }
 }
 
-/// [`Statistics`] as stored. The number of items is named after their kind.
+/// [`Statistics`] as stored. The name of the number of items depends on their kind.
 #[derive(Clone, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {

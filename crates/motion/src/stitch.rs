@@ -1,11 +1,13 @@
 //! One motion from overlapping windows.
 //!
-//! Windows are sampled at the length that a model was trained on. Floor positions are relative to a
-//! window's first frame ([`crate::anchor_floor`]), all else is in world coordinates. So windows are
-//! rotated ([`crate::heading_alignment`]), moved on the floor to agree with their neighbours (least
-//! squares over the overlaps), and blended with squared-sine weights that add up to 1.
+//! Windows are sampled at the length of the model's training samples. Floor positions are relative
+//! to a window's first frame ([`crate::anchor_floor`]); other values are in world coordinates.
+//! Windows are rotated ([`crate::heading_alignment`]) and moved on the floor to agree with
+//! neighboring windows (least squares over the overlaps). They are blended with squared-sine
+//! weights that add up to 1.
 //!
-//! Known frames do not change: windows move to them, and the difference fades out in 1/3 s.
+//! Known frames do not change. Windows move to the known frames, and the remaining difference fades
+//! out in 1/3 s.
 
 #[cfg(test)]
 mod tests;
@@ -20,16 +22,16 @@ use crate::{ChannelEncoding, OrientationEncoding, PhaseEncoding};
 /// Channels that are relative to a window's first frame: the position on the floor.
 const FLOOR: [usize; 2] = [POSITION.start, POSITION.start + 2];
 
-/// Windows share at least one in so many of their frames with the next.
+/// Neighboring windows share at least one in `OVERLAP` of their frames.
 const OVERLAP: usize = 3;
 
-/// Weight of known frames beside overlaps in the positions of windows.
+/// Weight of known frames relative to overlaps in the positions of windows.
 const KNOWN: f64 = 100.0;
 
-/// Frames over which the difference to a known frame fades.
+/// Frames over which the difference from a known frame fades.
 const FADE: usize = 10;
 
-/// Windows of one length that cover a motion, each overlapping the next by a third or more.
+/// Windows of one length that cover a motion. Each window overlaps the next by at least a third.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Windows {
     frames: usize,
@@ -40,9 +42,9 @@ pub struct Windows {
 /// The channels of windows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
-    /// The 25 of a phrase in physical units.
+    /// The 25 channels of a phrase in physical units.
     Phrase,
-    /// Those that a denoiser predicts, normalised; a scalar phase is in -1 to 1.
+    /// The normalized channels that a denoiser predicts. A scalar phase is in -1 to 1.
     Predicted(ChannelEncoding),
 }
 
@@ -67,7 +69,7 @@ impl Layout {
         }
     }
 
-    /// The channel of a phase that jumps at bar lines, and its values at start and end of a bar.
+    /// The channel of a phase that jumps at bar lines, and the values at start and end of a bar.
     fn jumping_phase(self) -> Option<(usize, [f64; 2])> {
         let (encoding, start) = (
             self.encoding(),
@@ -81,17 +83,18 @@ impl Layout {
 /// Known frames of a motion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct KnownFrames {
-    /// Of each frame, whether it is known.
+    /// True for known frames, `[frames]`.
     pub is_known: Vec<bool>,
-    /// `[channels, frames]`; each run of known frames has one sign of quaternions.
+    /// `[channels, frames]`. Each run of known frames has one sign of quaternions.
     pub values: Vec<f32>,
 }
 
 impl Windows {
-    /// Evenly spread windows of `length` frames over `frames`; a shorter motion is one window.
+    /// Evenly spread windows of `length` frames over `frames` frames. A shorter motion is one
+    /// window.
     ///
     /// # Panics
-    /// Panics if there are no frames, or the windows have none.
+    /// Panics if `frames` or `length` is 0.
     pub fn new(frames: usize, length: usize) -> Self {
         assert!(frames > 0 && length > 0, "windows of at least one frame");
         let length = length.min(frames);
@@ -144,10 +147,11 @@ impl Windows {
         first..starts.partition_point(|start| *start <= t)
     }
 
-    /// Blends windows `[windows, channels, length]` to one motion `[channels, frames]`, and
-    /// replaces each window by its part of that motion, with its own position and signs.
+    /// Blends windows `[windows, channels, length]` to one motion `[channels, frames]`. Replaces
+    /// each window by its part of the motion, with the window's own position and signs.
     ///
-    /// The motion has the `known` values; without any, the first window keeps its position.
+    /// The motion contains the `known` values. Without known values, the first window keeps its
+    /// position.
     pub fn stitch(
         &self,
         values: &mut [f32],
@@ -294,7 +298,8 @@ impl Windows {
         }
     }
 
-    /// Signs from quaternions of the motion to those of a window: one for all known frames.
+    /// Signs between the quaternions of the motion and of a window. All known frames have the same
+    /// sign.
     fn signs(
         &self,
         motion: &[f32],
@@ -318,12 +323,12 @@ impl Windows {
     }
 }
 
-/// Largest distance between the starts of neighbouring windows, frames.
+/// Largest distance between the starts of neighboring windows, frames.
 fn most_apart(length: usize) -> usize {
     (length - length.div_ceil(OVERLAP)).max(1)
 }
 
-/// Writes known frames into a motion `[channels, frames]`, and fades out the difference.
+/// Writes known frames into a motion `[channels, frames]` and fades out the difference.
 fn put(motion: &mut [f32], known: &KnownFrames, layout: Layout) {
     let (channels, quaternions) = (layout.channels(), layout.quaternions());
     let frames = known.is_known.len();
@@ -337,7 +342,7 @@ fn put(motion: &mut [f32], known: &KnownFrames, layout: Layout) {
             .take_while(|&t| !known.is_known[t]);
         let reached: Vec<usize> = reached.collect();
         let at = |values: &[f32], channel: usize, t: usize| values[channel * frames + t];
-        // Quaternions of the other sign are negated first.
+        // Quaternions of the opposite sign are negated first.
         for t in reached.iter().copied().chain([edge]) {
             let products = quaternions
                 .clone()

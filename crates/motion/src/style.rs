@@ -1,6 +1,7 @@
-//! The eight style channels of recorded motion, measured from the motion.
+//! The eight style channels, measured from recorded motion.
 //!
-//! The source's style is learned (CC-MotionGen, section 2.5). These measures fill its four pairs:
+//! The source learns the style (CC-MotionGen, section 2.5). Here measures replace the four learned
+//! pairs:
 //!
 //! | channels | pair of the source | measures |
 //! |---|---|---|
@@ -9,8 +10,8 @@
 //! | 4, 5 | rhythmic feel | burstiness; mean turning about the vertical / 3 (rad/s) |
 //! | 6, 7 | body attitude | 5 (mean height - median height of the take) (m); mean tilt of the body's up axis from the vertical (rad) |
 //!
-//! Means are over the frames `t - 15 .. t + 15`, with the ends repeated; extents over `t - 30 .. t
-//! + 30`. Burstiness is the deviation of the floor speed divided by the mean speed + 0.1 m/s.
+//! Means cover the frames `t - 15 .. t + 15`, with the ends repeated; extents cover `t - 30 .. t +
+//! 30`. Burstiness is the deviation of the floor speed divided by the mean speed + 0.1 m/s.
 
 use crate::derivatives::{angular_velocity, forward_differences};
 use crate::quantiles::median;
@@ -23,15 +24,16 @@ const MEAN_FRAMES: usize = 30;
 /// Frames of an extent: two seconds.
 const EXTENT_FRAMES: usize = 60;
 
-/// Added to the speed that burstiness is divided by, m/s.
+/// Offset of the mean speed in the burstiness, m/s.
 const REST_SPEED: f64 = 0.1;
 
-/// Style of each frame, `[frames, 8]`, at 30 frames per second: metres, unit `orientations`.
+/// Style of each frame, `[frames, 8]`, from positions in metres and unit `orientations` at 30
+/// frames per second.
 pub fn describe(positions: &[[f64; 3]], orientations: &[Quaternion]) -> Vec<[f64; 8]> {
     let frames = positions.len();
     assert_eq!(frames, orientations.len(), "one orientation a frame");
     let velocity = forward_differences(positions, FPS);
-    // The last two accelerations repeat the one before them.
+    // The last two accelerations repeat the third-last acceleration.
     let mut acceleration = forward_differences(&velocity[..frames.saturating_sub(1)], FPS);
     acceleration.resize(frames, acceleration.last().copied().unwrap_or_default());
 
@@ -63,7 +65,7 @@ pub fn describe(positions: &[[f64; 3]], orientations: &[Quaternion]) -> Vec<[f64
     (0..frames).map(of_frame).collect()
 }
 
-/// Means over the frames around each one, with the ends repeated.
+/// Means over the frames around each frame, with the ends repeated.
 fn running_mean(values: &[f64]) -> Vec<f64> {
     let half = MEAN_FRAMES as isize / 2;
     let last = values.len() as isize - 1;
@@ -115,7 +117,7 @@ mod tests {
 
     #[test]
     fn constant_speed_and_turning_have_their_measures() {
-        // 0.6 m/s along x, 0.8 m/s along z, turning at 1.5 rad/s.
+        // The body moves at 0.6 m/s along x and 0.8 m/s along z, and turns at 1.5 rad/s.
         let frames = 120;
         let at = |t: usize| t as f64 / FPS;
         let positions: Vec<_> = (0..frames)
@@ -126,7 +128,7 @@ mod tests {
             .collect();
         let style = describe(&positions, &turning);
         assert_style(style[60], [1.0, 0.0, 59.0 / 30.0, 0.0, 0.0, 0.5, 0.0, 0.0]);
-        // At the ends half of the extent is missing; the means are as elsewhere.
+        // The extent is halved at the ends; means do not change.
         assert_style(style[0], [1.0, 0.0, 29.0 / 30.0, 0.0, 0.0, 0.5, 0.0, 0.0]);
         assert_style(style[119], [1.0, 0.0, 1.0, 0.0, 0.0, 0.5, 0.0, 0.0]);
     }
@@ -158,7 +160,7 @@ mod tests {
             })
             .collect();
         let style = describe(&positions, &[Quaternion::IDENTITY; 180]);
-        // The speed is 0 or 1, half the time each, 0.5 off its mean.
+        // The speed is 0 or 1 for half the time each, 0.5 from the mean.
         assert!((style[90][0] - 0.5).abs() < 1e-9);
         assert!((style[90][4] - 0.5 / 0.6).abs() < 1e-9, "{}", style[90][4]);
     }

@@ -5,16 +5,17 @@ use crate::derivatives::{make_sign_continuous, rederive};
 use crate::phrase::{PHASE, POSITION, STYLE};
 use crate::{CHANNELS, Phrase, Quaternion};
 
-/// Length of `frames` frames played at `speed`, from the first frame to the last.
+/// Number of frames of `frames` frames played at `speed`.
 pub fn frames_at_speed(frames: usize, speed: f64) -> usize {
-    // Rounding must not drop a last frame that is reached exactly.
+    // Rounding must not drop a last frame at an exact time.
     ((frames.saturating_sub(1)) as f64 / speed + 1e-9).floor() as usize + 1
 }
 
 /// The phrase played at `speed`: frame `t` is frame `speed * t` of the original.
 ///
-/// Positions and quaternions follow cubic splines, so that accelerations stay smooth; derivatives
-/// follow from them. The phase takes shortest steps, and style is interpolated unchanged.
+/// Positions and quaternions follow cubic splines, so accelerations stay smooth. Derivatives are
+/// computed from positions and quaternions. The phase is interpolated by shortest steps, the style
+/// linearly.
 ///
 /// # Panics
 /// Panics unless `speed` is finite and above zero.
@@ -55,15 +56,15 @@ pub fn at_speed(motion: &Phrase, speed: f64) -> Phrase {
     played
 }
 
-/// The frames around a time in frames, of `frames`, and its fraction from the first to the second.
+/// The two of `frames` frames around a time in frames, and the fraction between them.
 pub fn between(frames: usize, time: f64) -> (usize, usize, f64) {
     let from = (time.max(0.0) as usize).min(frames - 1);
     let to = (from + 1).min(frames - 1);
     (from, to, (time - from as f64).clamp(0.0, 1.0))
 }
 
-/// The cubic spline through `values` at 0, 1, 2, ..., at `times` within them. Its second derivative
-/// is constant over the first and the last step.
+/// The cubic spline through `values` at 0, 1, 2, ..., evaluated at `times` in that range. The
+/// second derivative is constant over the first and the last step.
 ///
 /// # Panics
 /// Panics if there are no values.
@@ -86,7 +87,7 @@ fn curvature(values: &[f64]) -> Vec<f64> {
     }
     let knots = values.windows(3);
     let mut rest: Vec<f64> = knots.map(|y| 6.0 * (y[0] - 2.0 * y[1] + y[2])).collect();
-    // The first and the last unknown equal their neighbours.
+    // The first and the last unknown equal the neighboring unknowns.
     let at_ends = |i: usize| f64::from(u8::from(i == 0)) + f64::from(u8::from(i + 1 == inner));
     let mut factor = vec![0.0; inner];
     for i in 0..inner {
@@ -164,7 +165,7 @@ mod tests {
             let mut checked = 0;
             for t in 2..played.frames() - 3 {
                 let (from, _, fraction) = between(60, speed * t as f64);
-                // Every frame of the original that is met is met exactly.
+                // Original frames at exact times do not change.
                 if fraction < 1e-9 {
                     let (a, b) = (original.quaternion(from), played.quaternion(t));
                     assert!((a.dot(b).abs() - 1.0).abs() < 1e-6);
@@ -179,7 +180,7 @@ mod tests {
 
     #[test]
     fn accelerations_stay_those_of_a_smooth_path() {
-        // One turn in 60 frames on a circle of a metre.
+        // The path is a circle of one metre; a turn takes 60 frames.
         let mut circle = Phrase::new(vec![0.0; 90 * CHANNELS]).unwrap();
         for t in 0..90 {
             let angle = TAU * t as f64 / 60.0;

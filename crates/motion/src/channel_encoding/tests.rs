@@ -144,7 +144,7 @@ fn a_canonical_sample_faces_z_after_any_rotation() {
 fn mirroring_negates_the_channels_that_are_named() {
     for targets in all() {
         if targets.orientation == OrientationEncoding::CanonicalQuaternion {
-            // It turns the sample back too.
+            // The decoding turns the sample back too.
             continue;
         }
         let motion = phrase(5, 6);
@@ -211,7 +211,7 @@ fn predictions_of_any_size_decode_and_numbers_that_are_none_stay() {
     assert_eq!(zeros[PHASE], 0.0);
     let norm: f32 = zeros[QUATERNION].iter().map(|part| part * part).sum();
     assert!((norm - 1.0).abs() < 1e-6);
-    // Just below a full turn is the beginning of the next bar, not 1.
+    // A phase just below a full turn is the beginning of the next bar, not 1.
     let mut rows = vec![0.0; channels];
     rows[targets.phase_channels()].copy_from_slice(&[-1e-9, 1.0]);
     assert_eq!(targets.decode(rows)[PHASE], 0.0);
@@ -239,7 +239,8 @@ fn beats_place_what_the_bar_leaves_open() {
         say(beats, TAU * beat, 1.0);
         f64::from(targets.decode(rows)[PHASE])
     };
-    // The position in the bar is roughly known and that in the beat well: 0.3 beats from the second.
+    // The position in the bar is known roughly, the position in the beat precisely: 0.3 beats after
+    // the second beat.
     for beats in [2, 3, 4] {
         let truth = 1.3 / beats as f64;
         for error in [-0.06, 0.0, 0.08] {
@@ -251,7 +252,7 @@ fn beats_place_what_the_bar_leaves_open() {
             );
         }
     }
-    // The first beat of a bar is also near the end of the bar before.
+    // The first beat of a bar is also near the end of the previous bar.
     assert!(decoded(0.98, 0.5, 4, 0.02) < 0.01);
     // A mean over all beats of a bar does not determine the bar.
     let mut mean = vec![0.0; targets.channels()];
@@ -318,7 +319,7 @@ proptest! {
 
 #[test]
 fn a_dancer_whose_heading_is_open_stands_upright() {
-    // The rest of the side axis points upward a little; the up axis is certain.
+    // The remaining side axis points slightly upward; the up axis is certain.
     let columns = [0.001, 0.004, -0.002, 0.05, 0.96, -0.02];
     let tilt = |rotation: Quaternion| rotation.rotate([0.0, 1.0, 0.0])[1].acos().to_degrees();
     assert!(tilt(nearest_rotation(&columns)) < 5.0);

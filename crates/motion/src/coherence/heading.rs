@@ -5,13 +5,13 @@
 //! ```
 //!
 //! over complex numbers of any size. `psi_t` is the heading of frame t, the
-//! [twist](Quaternion::twist) about the vertical, and `d_t` its change by the angular velocity. The
-//! arguments of `h` determine by how many full turns each `psi_t` is moved. The result is the same
-//! fit of those angles, which cannot flip where a complex number passes through zero.
+//! [twist](Quaternion::twist) about the vertical. `d_t` is the change of heading by the angular
+//! velocity. The arguments of `h` unwrap the `psi_t` by full turns. The result is the same fit of
+//! the unwrapped angles, which cannot flip where a complex number passes through zero.
 //!
-//! A network that is uncertain about an orientation predicts a mean of many. Its tilt is sound, but
-//! its heading is arbitrary. The weights `w_t` are the squared confidences, so that angular
-//! velocities dominate in uncertain frames. Tilt is not changed.
+//! A network that is uncertain about an orientation predicts a mean of many orientations. The mean
+//! has a correct tilt but an arbitrary heading. The weights `w_t` are the squared confidences, so
+//! angular velocities dominate in uncertain frames. The fit keeps the tilt.
 
 use super::{OrientationFit, weight};
 use crate::circular::wrapped;
@@ -21,19 +21,20 @@ use crate::{Phrase, Quaternion};
 /// Smallest weight of a frame.
 const LEAST_WEIGHT: f64 = 1e-4;
 
-/// Confidence of headings, 0 to 1, `[frames]`: norms of quaternions, as in means of orientations.
+/// Confidence of headings, 0 to 1, `[frames]`: the norms of quaternions, which are small in means
+/// of orientations.
 pub fn heading_confidence(motion: &Phrase) -> Vec<f64> {
     let quaternions = motion.quaternions().into_iter();
     quaternions.map(|q| q.norm().min(1.0)).collect()
 }
 
-/// Squared cosine of half the tilt (120 degrees) beyond which bodies are rotated less, down to 0.
+/// Squared cosine of half the tilt of 120 degrees. Beyond that tilt the rotation decreases to 0.
 pub const UPRIGHT: f64 = 0.25;
 
-/// Rotates the orientations of a phrase about the vertical to the headings nearest to theirs and to
-/// the angular velocities, except in `known` frames. `confidence` is 0 to 1. All other quaternions
-/// become unit quaternions; the angular velocity is rotated with the body, and its vertical
-/// component follows the headings. `std` are the training deviations of the channels, `[25]`.
+/// Rotates the orientations of a phrase about the vertical to the fitted headings, except in
+/// `known` frames. `confidence` is 0 to 1. Quaternions become unit quaternions. The angular
+/// velocity is rotated with the body, and its vertical component follows the headings. `std` are
+/// the training deviations of the channels, `[25]`.
 pub fn fit_heading(motion: &mut Phrase, std: &[f64], known: &[bool], confidence: &[f64]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
@@ -73,7 +74,7 @@ pub fn fit_heading(motion: &mut Phrase, std: &[f64], known: &[bool], confidence:
         fitted.push(before + wrapped(angle - before));
     }
     fit.fit(&mut fitted);
-    // Upside down, heading and tilt axis are undefined.
+    // The heading and the tilt axis of an upside-down body are undefined.
     let upright_share = units.iter().map(|unit| {
         let upright = unit.w.powi(2) + unit.y.powi(2);
         (upright / UPRIGHT).min(1.0)
@@ -101,7 +102,7 @@ mod tests {
     use super::*;
     use crate::vector::length;
 
-    /// A body that turns about the vertical while it leans to and fro, by at most 20 degrees.
+    /// A body that turns about the vertical and leans back and forth by at most 20 degrees.
     fn turning(frames: usize) -> Phrase {
         let mut motion = crate::random_phrase::random_phrase(4, frames);
         for t in 0..frames {
@@ -212,7 +213,7 @@ mod tests {
 
     #[test]
     fn bodies_that_pitch_beyond_the_vertical_keep_their_heading() {
-        // The noise is 0.02 rad, and of up to 0.07 in a frame.
+        // The noise has a deviation of 0.02 rad and reaches 0.07 rad.
         for (peak, allowed) in [
             (80.0f64, 0.15),
             (95.0, 0.15),

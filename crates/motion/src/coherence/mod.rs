@@ -1,8 +1,9 @@
-//! Fits of the nearest coherent motion to channels that contradict each other.
+//! Fits of the nearest coherent motion to contradicting channels.
 //!
-//! A phrase states its movement by positions, velocities and accelerations, and by orientations and
-//! angular velocities. A network predicts each with a small, independent error: positions shake
-//! while accelerations are smooth. Each fit is a banded least-squares problem, linear in time:
+//! A phrase has redundant channels: positions, velocities and accelerations, and orientations and
+//! angular velocities. A network predicts each channel with a small, independent error: positions
+//! shake while accelerations are smooth. Each fit is a banded least-squares problem, linear in
+//! time:
 //!
 //! - [`fit_trajectory`]: positions to positions, velocities and accelerations
 //! - [`fit_heading`]: headings to orientations, weighted by confidence, and angular velocities
@@ -21,7 +22,7 @@ pub use orientation::{OrientationFit, fit_orientation};
 pub use phase::fit_phase;
 pub use trajectory::{CoherentFit, EXTRA_FRAMES, coherent_matrix, fit_trajectory};
 
-/// Weight of known frames; others have 1. They move by a few millionths.
+/// Weight of known frames relative to other frames. The fit moves known frames by a few millionths.
 const KNOWN: f64 = 1e8;
 
 fn weight(known: bool) -> f64 {

@@ -4,8 +4,9 @@
 //! min_q  sum_t |q_t - Q_t|^2 / s_q^2 + |q_{t+1} - exp(W_t / fps) q_t|^2 / s_w^2
 //! ```
 //!
-//! over quaternions of any norm. With `r_t` the integral of the angular velocities and `q_t = r_t
-//! u_t`, the second term is `|u_{t+1} - u_t|^2`: the parts of `u` are tridiagonal systems.
+//! over quaternions of any norm. `r_t` is the integral of the angular velocities, and `q_t = r_t
+//! u_t`. The second term is then `|u_{t+1} - u_t|^2`, so each component of `u` solves a tridiagonal
+//! system.
 
 use super::weight;
 use crate::banded::{BAND, Cholesky};
@@ -13,16 +14,16 @@ use crate::derivatives::make_sign_continuous;
 use crate::phrase::{ANGULAR_VELOCITY, FPS};
 use crate::{Phrase, Quaternion};
 
-/// The scale `s_q`: root mean square of a component of unit quaternions.
+/// The scale `s_q`: the root mean square of a component of unit quaternions.
 const QUATERNION_SCALE: f64 = 0.5;
 
-/// The scale of headings: root mean square of a component of unit complex numbers.
+/// The scale of headings: the root mean square of a component of unit complex numbers.
 const HEADING_SCALE: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
 /// Smallest scale of a step, for numerical precision.
 const LEAST_STEP: f64 = 1e-6;
 
-/// The same for headings, where long stretches may have little weight.
+/// Smallest scale of a heading step; long stretches may have little weight.
 const LEAST_TURN: f64 = 1e-3;
 
 /// The fit of one component of `u`.
@@ -44,7 +45,7 @@ impl OrientationFit {
         Self::weighted(weights, [QUATERNION_SCALE, step_scale])
     }
 
-    /// The same for headings, with the deviation of the vertical angular velocity, rad/s.
+    /// The fit of headings; `rate` is the deviation of the vertical angular velocity.
     ///
     /// # Panics
     /// Panics unless the deviation is positive.
@@ -76,7 +77,7 @@ impl OrientationFit {
         self.weights.len()
     }
 
-    /// Fits one component in place, `[frames]`. With equal weights it is its own adjoint.
+    /// Fits one component in place, `[frames]`. With equal weights the fit is its own adjoint.
     pub fn fit(&self, component: &mut [f64]) {
         for (value, weight) in component.iter_mut().zip(&self.weights) {
             *value *= weight;
@@ -85,8 +86,8 @@ impl OrientationFit {
     }
 }
 
-/// Replaces the quaternions of a phrase by those of the fit, of unit norm and continuous sign,
-/// except in `known` frames. `std` are the training deviations of the channels, `[25]`.
+/// Replaces the quaternions of a phrase by fitted unit quaternions with continuous sign, except in
+/// `known` frames. `std` are the training deviations of the channels, `[25]`.
 pub fn fit_orientation(motion: &mut Phrase, std: &[f64], known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
@@ -145,7 +146,7 @@ mod tests {
         steps.sum::<f64>() / (rates.len() - 1) as f64
     }
 
-    /// The motion with noise of each quaternion, and of each angular velocity, and random signs.
+    /// The motion with noisy quaternions and angular velocities, and random signs of quaternions.
     fn shaken(motion: &Phrase, quaternion: f64, rate: f64) -> Phrase {
         let mut shaken = motion.clone();
         let noise = Key::new(9, Purpose::Noise).normals(8 * motion.frames());
@@ -198,7 +199,7 @@ mod tests {
         let original = random_phrase(7, 60);
         let mut motion = original.clone();
         for t in 20..60 {
-            // The rest faces elsewhere with the same angular velocity.
+            // The other frames face another direction with the same angular velocity.
             let turned = Quaternion::from_yaw(0.5) * original.quaternion(t);
             motion.set_quaternion(t, turned.scale(-1.0));
         }
@@ -207,7 +208,7 @@ mod tests {
         for t in 0..20 {
             assert_eq!(motion.frame(t), original.frame(t), "{t}");
         }
-        // Half a radian at once would be 0.97.
+        // A jump of half a radian would give 0.97.
         let least = |motion: &Phrase| {
             let step = |t| motion.quaternion(t).dot(motion.quaternion(t - 1));
             (1..60).map(step).fold(1.0, f64::min)

@@ -1,16 +1,16 @@
 //! The nearest phase that advances evenly.
 //!
-//! A model that knows the beats but not the bar lines jumps by whole beats. So the phase is fitted
-//! in the most even fraction of a bar ([`parts`]), and placed in the bar that most frames state.
+//! If a model knows the beats but not the bar lines, the phase jumps by whole beats. The fit uses
+//! the most even fraction of a bar ([`parts`]) and the bar position that most frames predict.
 //!
-//! Dynamic programming finds a path `p` whose advance a frame is half to one and a half of the
-//! tempo and that maximises `sum cos 2 pi (p_t - phase_t)`. The path is then smoothed:
+//! Dynamic programming finds the path `p` that maximizes `sum cos 2 pi (p_t - phase_t)`. The
+//! advance per frame is between 0.5 and 1.5 times the tempo. The path is then smoothed:
 //!
 //! ```text
 //! min_q  sum_t |q_t - p_t - d_t|^2 + S^4 |q_{t+2} - 2 q_{t+1} + q_t|^2
 //! ```
 //!
-//! with `d_t` the shortest distance from path to stated phase, or 0 beyond an eighth of a turn.
+//! `d_t` is the shortest distance from path to predicted phase, or 0 beyond an eighth of a turn.
 
 use std::f64::consts::TAU;
 
@@ -19,28 +19,28 @@ use crate::banded::{BAND, Cholesky};
 use crate::phrase::PHASE;
 use crate::{Phrase, circular};
 
-/// `S`: changes of tempo within four seconds are noise.
+/// `S`; changes of tempo within four seconds count as noise.
 const SMOOTHING_FRAMES: f64 = 20.0;
 
-/// Positions in a bar of the dynamic programme.
+/// Number of positions in a bar for dynamic programming.
 const PLACES: usize = 256;
 
-/// Most advances to choose from.
+/// Largest number of candidate advances.
 const MOST_ADVANCES: usize = 32;
 
-/// Range of the advance a frame, relative to the tempo.
+/// Range of the advance per frame, relative to the tempo.
 const SHARES: [f64; 2] = [0.5, 1.5];
 
 /// Frames over which the tempo is constant.
 const SPAN_FRAMES: usize = 120;
 
-/// Tempos that are compared.
+/// Number of compared tempos.
 const TEMPOS: usize = 4 * SPAN_FRAMES;
 
-/// Distance from the path, in turns, within which a stated phase counts.
+/// Largest distance of a counted phase from the path, in turns.
 const NEAR: f64 = 0.125;
 
-/// Most parts of a bar.
+/// Largest number of parts of a bar.
 const MOST_PARTS: usize = 8;
 
 /// Allowed loss of agreement for fewer parts.
@@ -49,7 +49,7 @@ const AGREEMENT_MARGIN: f64 = 0.1;
 /// The second difference of three frames.
 const SECOND_DIFFERENCE: [f64; 3] = [1.0, -2.0, 1.0];
 
-/// Replaces the phase by the nearest even one, in [0, 1), except in `known` frames.
+/// Replaces the phase by the nearest even phase, in [0, 1), except in `known` frames.
 pub fn fit_phase(motion: &mut Phrase, known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
@@ -63,7 +63,7 @@ pub fn fit_phase(motion: &mut Phrase, known: &[bool]) {
     };
     let parts = parts(&stated);
     let mut fitted = in_parts(parts);
-    // Known frames in different bars need a fit in whole bars.
+    // Known frames in different bar positions need a fit in whole bars.
     let misses =
         |t: usize| known[t] && circular::distance(fitted[t], stated[t]) > 0.5 / parts as f64;
     if (0..frames).any(misses) {
@@ -71,12 +71,12 @@ pub fn fit_phase(motion: &mut Phrase, known: &[bool]) {
     }
     for t in (0..frames).filter(|t| !known[*t]) {
         let phase = fitted[t].rem_euclid(1.0) as f32;
-        // Values just below 1 may round to it.
+        // Values just below 1 may round to 1.
         motion.frame_mut(t)[PHASE] = if phase < 1.0 { phase } else { 0.0 };
     }
 }
 
-/// Number of parts of a bar: the fewest whose agreement with a tempo is nearly the best.
+/// The smallest number of parts of a bar whose agreement with a tempo is nearly the best.
 fn parts(stated: &[f64]) -> usize {
     let agreement = |parts: usize| {
         let of_part: Vec<f64> = stated.iter().map(|turn| parts as f64 * turn).collect();
@@ -88,7 +88,7 @@ fn parts(stated: &[f64]) -> usize {
     1 + agreements.iter().position(enough).unwrap_or(0)
 }
 
-/// The whole turns to add to `fitted`, in `parts` of a bar, that agree best with the stated phases.
+/// The whole turns that bring `fitted`, in `parts` of a bar, nearest to the predicted phases.
 fn bar(fitted: &[f64], stated: &[f64], known: &[bool], parts: usize) -> f64 {
     let agreement = |bar: usize| {
         let frames = fitted.iter().zip(stated).zip(known);
@@ -103,7 +103,7 @@ fn bar(fitted: &[f64], stated: &[f64], known: &[bool], parts: usize) -> f64 {
     best.map_or(0.0, |(_, bar)| bar)
 }
 
-/// The smooth path nearest to the stated phases, unwrapped.
+/// The smooth path nearest to the predicted phases, unwrapped.
 fn fit(stated: &[f64], known: &[bool]) -> Vec<f64> {
     let path = path(stated, known);
     let frames = stated.len();
@@ -127,7 +127,7 @@ fn fit(stated: &[f64], known: &[bool]) -> Vec<f64> {
     fitted
 }
 
-/// The path, unwrapped, that agrees best with the stated phases.
+/// The unwrapped path that agrees best with the predicted phases.
 fn path(stated: &[f64], known: &[bool]) -> Vec<f64> {
     let place = |turn: f64| (turn * PLACES as f64).rem_euclid(PLACES as f64) as usize % PLACES;
     let cosine = |place: usize| (TAU * place as f64 / PLACES as f64).cos();
@@ -153,7 +153,7 @@ fn path(stated: &[f64], known: &[bool]) -> Vec<f64> {
             }
             *next = most + gain(t, at);
         }
-        // Large sums of known frames would lose the others' digits.
+        // Large sums over known frames would cancel the digits of other frames.
         let largest = next.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         next.iter_mut().for_each(|sum| *sum -= largest);
         best = next;
@@ -177,7 +177,7 @@ fn path(stated: &[f64], known: &[bool]) -> Vec<f64> {
     path
 }
 
-/// Possible advances of a path in a frame, around the tempo; not 0 if the tempo allows that.
+/// Candidate advances of a path per frame, around the tempo; not 0 if possible.
 fn advances(stated: &[f64]) -> Vec<i64> {
     let mean = tempo(stated).0 * PLACES as f64;
     let mut bounds = SHARES.map(|share| share * mean);
@@ -192,8 +192,9 @@ fn advances(stated: &[f64]) -> Vec<i64> {
     (low..=high).step_by(step).collect()
 }
 
-/// The advance in turns a frame, -0.5 to 0.5, that agrees best with the phases (largest mean over
-/// spans of `|sum exp(2 pi i (phase_t - advance t))|`), and their agreement, 0 to 1.
+/// The advance in turns per frame, -0.5 to 0.5, with the best agreement with the phases, and that
+/// agreement, 0 to 1. The agreement is the mean over spans of `|sum exp(2 pi i (phase_t - advance
+/// t))|`.
 fn tempo(stated: &[f64]) -> (f64, f64) {
     let unit = |turns: f64| (TAU * turns).sin_cos();
     let phases: Vec<(f64, f64)> = stated.iter().map(|&turns| unit(turns)).collect();
@@ -252,7 +253,7 @@ mod tests {
 
     #[test]
     fn noise_goes_and_a_tempo_that_changes_stays() {
-        // From 0.45 to 0.6 bars a second within a minute, with noise of a twentieth of a bar.
+        // From 0.45 to 0.6 bars per second within a minute; the noise is a twentieth of a bar.
         let truth: Vec<f64> = (0..1800)
             .map(|t| f64::from(t) / 30.0)
             .map(|seconds| 0.9 + 0.45 * seconds + 0.15 / 120.0 * seconds * seconds)
@@ -280,7 +281,7 @@ mod tests {
     #[test]
     fn a_lasting_change_of_the_bar_is_followed_and_a_short_one_ignored() {
         let even: Vec<f64> = (0..900).map(|t| 0.1 + 0.0125 * f64::from(t)).collect();
-        // A beat later from second 10 on, and for a third of a second at second 20.
+        // The phase is a beat late from second 10 on, and briefly at second 20.
         let later = |t: usize, turn: f64| turn - if t >= 300 { 0.25 } else { 0.0 };
         let lasting: Vec<f64> = even
             .iter()
@@ -335,7 +336,7 @@ mod tests {
 
     #[test]
     fn known_frames_choose_the_bar() {
-        // The last second is known, a beat off the others; so is the first, in either bar.
+        // The last second is known, a beat off; the first second is known in either bar.
         for first in [0.25, 0.0] {
             let frames = 300;
             let truth = |t: usize| 0.2 + 0.0151 * t as f64;

@@ -6,21 +6,21 @@
 //! ```
 //!
 //! With the training deviations as scales `s`, this is the orthogonal projection of the normalised
-//! estimates onto coherent motion. The matrix has two diagonals beside the main one. Differences
-//! are forward; two extra frames complete the last velocity and acceleration.
+//! estimates onto coherent motion. The matrix has two diagonals beside the main diagonal.
+//! Differences are forward. Two extra frames complete the last velocity and acceleration.
 
 use super::weight;
 use crate::Phrase;
 use crate::banded::{BAND, Cholesky};
 use crate::phrase::{ACCELERATION, FPS, POSITION, VELOCITY};
 
-/// Frames of the fitted trajectory beyond those of the estimates.
+/// Frames of the fitted trajectory after the last estimate.
 pub const EXTRA_FRAMES: usize = 2;
 
 /// Smallest scales of velocity and acceleration relative to that of position, 1/s and 1/s^2.
 const LEAST_RATES: [f64; 2] = [1e-3, 1e-2];
 
-/// The estimates as linear combinations of positions from their own frame on.
+/// The estimates as linear combinations of positions, from the estimate's frame on.
 const STENCILS: [&[f64]; 3] = [
     &[1.0],
     &[-FPS, FPS],
@@ -30,9 +30,9 @@ const STENCILS: [&[f64]; 3] = [
 /// The fit of one axis.
 #[derive(Clone, Debug)]
 pub struct CoherentFit {
-    /// `1 / s^2` for each estimate and frame, times the weight of a known frame.
+    /// `1 / s^2` for each estimate and frame, times the weight of known frames.
     weights: [Vec<f64>; 3],
-    /// Of the normal equations.
+    /// Factor of the normal equations.
     factor: Cholesky<BAND>,
 }
 
@@ -43,7 +43,8 @@ impl CoherentFit {
     /// Panics if a scale is not positive.
     pub fn new(known: &[bool], scales: [f64; 3]) -> Self {
         assert!(scales.iter().all(|&scale| scale > 0.0), "scales {scales:?}");
-        // Within known frames the positions decide; at their end also velocity and acceleration.
+        // In known frames the position is decisive; in the last of a run also velocity and
+        // acceleration.
         let is_last = |t: usize| known[t] && known.get(t + 1) != Some(&true);
         let decides: [&dyn Fn(usize) -> bool; 3] = [&|t| known[t], &is_last, &is_last];
         let weights = [0, 1, 2].map(|estimate| {
@@ -72,7 +73,8 @@ impl CoherentFit {
         self.weights[0].len()
     }
 
-    /// The fitted positions, `[frames + 2]`, of position, velocity and acceleration, `[frames]`.
+    /// The fitted positions, `[frames + 2]`, from positions, velocities and accelerations,
+    /// `[frames]`.
     pub fn positions(&self, estimates: [&[f64]; 3]) -> Vec<f64> {
         let mut positions = vec![0.0; self.frames() + EXTRA_FRAMES];
         for ((stencil, weights), estimate) in STENCILS.iter().zip(&self.weights).zip(estimates) {
@@ -101,7 +103,7 @@ impl CoherentFit {
 }
 
 /// The dense matrix of a fit, `[frames + 2, 3 frames]`, row-major, for devices that multiply
-/// matrices. Columns are those of the scaled estimates `[P / s_p | V / s_v | A / s_a]`.
+/// matrices. Columns belong to the scaled estimates `[P / s_p | V / s_v | A / s_a]`.
 ///
 /// # Panics
 /// Panics if a scale is not positive.
@@ -117,8 +119,8 @@ pub fn coherent_matrix(frames: usize, scales: [f64; 3]) -> Vec<f32> {
     (0..rows).flat_map(row).collect()
 }
 
-/// Replaces position, velocity and acceleration of a phrase by the nearest coherent ones, except in
-/// `known` frames. `std` are the training deviations of the channels, `[25]`.
+/// Replaces position, velocity and acceleration of a phrase by the nearest coherent values, except
+/// in `known` frames. `std` are the training deviations of the channels, `[25]`.
 pub fn fit_trajectory(motion: &mut Phrase, std: &[f64], known: &[bool]) {
     let frames = motion.frames();
     assert_eq!(known.len(), frames, "known frames");
@@ -126,7 +128,7 @@ pub fn fit_trajectory(motion: &mut Phrase, std: &[f64], known: &[bool]) {
         let components = [POSITION, VELOCITY, ACCELERATION].map(|component| component.start + axis);
         let estimates = components.map(|channel| motion.column(channel));
         let [position, velocity, acceleration] = components.map(|channel| std[channel]);
-        // A nearly constant axis would exceed double precision.
+        // A nearly constant axis would exceed the digits of double precision.
         let scales = [
             position,
             velocity.max(LEAST_RATES[0] * position),
@@ -159,7 +161,7 @@ mod tests {
 
     const SCALES: [f64; 3] = [0.9, 0.5, 2.5];
 
-    /// The fit of estimates that are scaled and laid end to end.
+    /// The fit of scaled and concatenated estimates.
     fn fitted(frames: usize, estimates: &[f64]) -> Vec<f64> {
         let mut parts = estimates.chunks(frames).zip(SCALES);
         let estimates = [(); 3].map(|()| {
@@ -318,7 +320,7 @@ mod tests {
         let mut motion = crate::random_phrase::random_phrase(3, 60);
         let original = motion.clone();
         for t in 20..60 {
-            // The rest lies 2 m aside.
+            // The other frames are 2 m to the side.
             let [x, y, z] = motion.vector(t, POSITION);
             motion.set_vector(t, POSITION, [x + 2.0, y, z]);
         }

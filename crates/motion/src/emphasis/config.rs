@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{EmphasisError, EmphasisProjection};
 
-/// Kind of matrix that mixes the emphasised features.
+/// Kind of matrix that mixes the emphasized features.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EmphasisKind {
@@ -16,7 +16,7 @@ pub enum EmphasisKind {
     None,
     /// Independent normal numbers, as in published models.
     Gaussian,
-    /// A random rotation or reflection: the same emphasis with the smallest condition number.
+    /// A random rotation or reflection, which has the smallest condition number.
     Orthogonal,
 }
 
@@ -27,16 +27,16 @@ pub enum EmphasisKind {
 pub struct EmphasisConfig {
     /// Kind of matrix.
     pub kind: EmphasisKind,
-    /// Factor of the emphasised features, c in the source.
+    /// Factor of the emphasized features, c in the source.
     pub scale: f64,
     /// Seed of the matrix.
     pub seed: u64,
-    /// The emphasised features: root rotation, x and z.
+    /// The emphasized features: root rotation, x and z.
     pub channels: Vec<usize>,
 }
 
 impl Default for EmphasisConfig {
-    /// No projection; once a kind is chosen, the published scale of 10.
+    /// No projection. If only `kind` is set, the scale is the published 10.
     fn default() -> Self {
         Self {
             kind: EmphasisKind::None,
@@ -49,7 +49,7 @@ impl Default for EmphasisConfig {
 
 impl EmphasisConfig {
     /// # Errors
-    /// For a scale out of range, and missing or repeated channels.
+    /// Errors for a scale out of range, and for missing or repeated channels.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         check(self.scale, &self.channels, usize::MAX)
     }
@@ -62,7 +62,7 @@ impl EmphasisConfig {
         &self,
         dimension: usize,
     ) -> Result<Option<EmphasisProjection>, EmphasisError> {
-        // Before any random number.
+        // Checks precede any random number.
         check(self.scale, &self.channels, dimension)?;
         let construct = match self.kind {
             EmphasisKind::None => return Ok(None),
@@ -74,10 +74,10 @@ impl EmphasisConfig {
     }
 }
 
-/// Largest scale that single precision can invert.
+/// Largest scale with an inverse in single precision.
 const LARGEST_SCALE: f64 = 1e6;
 
-/// Rejects a scale or channels that no projection of `dimension` features can have.
+/// Rejects scales and channels that are invalid for `dimension` features.
 pub(super) fn check(
     scale: f64,
     channels: &[usize],

@@ -14,7 +14,7 @@ const FRAMES: usize = 196;
 pub struct EmphasisMeasures {
     /// Largest singular value divided by the smallest.
     pub condition_number: f64,
-    /// Smallest variance of a projected feature, for independent features of variance 1.
+    /// Smallest variance of a projected feature, if the features are independent with variance 1.
     pub variance_min: f64,
     /// Mean of these variances.
     pub variance_mean: f64,
@@ -22,11 +22,11 @@ pub struct EmphasisMeasures {
     pub variance_max: f64,
     /// Population standard deviation of these variances.
     pub variance_std: f64,
-    /// Share of the emphasised features in the total variance.
+    /// Share of the emphasized features in the total variance.
     pub trajectory_share: f64,
-    /// Largest absolute error of a round trip of standard normal frames in single precision.
+    /// Largest absolute error of a single-precision round trip of standard normal frames.
     pub round_trip_max: f64,
-    /// Mean absolute error of the same frames.
+    /// Mean absolute error of these frames.
     pub round_trip_mean: f64,
 }
 
@@ -35,7 +35,7 @@ impl EmphasisProjection {
     pub fn measure(&self, seed: u64) -> EmphasisMeasures {
         let variances = self.variance_per_dimension();
         let (variance_mean, variance_std) = mean_and_deviation(variances.iter().copied());
-        // One level below the matrix's own numbers.
+        // This random stream is one level below the matrix's.
         let frames = Key::new(seed, Purpose::Emphasis)
             .at(0)
             .normals(FRAMES * self.dimension());

@@ -1,12 +1,12 @@
 //! Emphasis projection: a larger weight of the trajectory in the input of a motion model.
 //!
-//! The root's rotation and ground position are three of a frame's 263 features, so a model can
-//! neglect them. They are multiplied by a scale c, and a random matrix distributes them over all
-//! features so that each keeps about unit variance. A frame is a row: `y = x P`, `x = y P^-1`.
-//! Source: Guided Motion Diffusion, appendix C.
+//! The root's rotation and ground position are only three of a frame's 263 features, so a model can
+//! neglect the root. The projection multiplies these three by a scale c, and mixes all features by
+//! a random matrix of about unit variance. A frame is a row: `y = x P`, `x = y P^-1`. Source:
+//! Guided Motion Diffusion, appendix C.
 //!
-//! Deviation: the source's factor `1/(D - 3 + 3 c^2)` is a variance; the matrix has its square
-//! root. As an amplitude it would give a variance of 1/560 at c = 10.
+//! Deviation from the source: the factor `1/(D - 3 + 3 c^2)` is a variance, so the matrix uses its
+//! square root. As an amplitude the factor would give a variance of 1/560 at c = 10.
 
 mod config;
 mod error;
@@ -18,30 +18,31 @@ pub use measures::EmphasisMeasures;
 
 use nalgebra::DMatrix;
 
-/// Condition number at which single precision has no digit left.
+/// Condition number at which single precision loses all digits.
 const SINGULAR: f64 = 1.0 / f32::EPSILON as f64;
 
-/// A projection of frames of `dimension` features, and its inverse. Made by
-/// [`EmphasisConfig::projection`], or from a published model's matrix.
+/// A projection of frames of `dimension` features, and its inverse. [`EmphasisConfig::projection`]
+/// creates one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EmphasisProjection {
     channels: Vec<usize>,
-    // nalgebra is column-major: these are transposes, whose memory is P row by row.
+    // nalgebra is column-major. The stored transposes contain P row by row.
     matrix: DMatrix<f32>,
     inverse: DMatrix<f32>,
     condition_number: f64,
 }
 
 impl EmphasisProjection {
-    /// The published construction: `normals`, independent standard normal numbers
-    /// `[dimension, dimension]`, the rows of `channels` times `scale`, all divided by
-    /// `sqrt(D - n + n c^2)` with D the dimension, n the number of channels and c the scale.
+    /// The published construction from `normals`, independent standard normal numbers `[dimension,
+    /// dimension]`. The rows of `channels` are multiplied by `scale`. All values are divided by
+    /// `sqrt(D - n + n c^2)`, with D the dimension, n the number of channels and c the scale.
     ///
-    /// Projected features have variance 1 on average over matrices; in one matrix of 263 at c = 10
-    /// it is about 0.4 to 3, and the condition number is in the thousands.
+    /// Projected features have variance 1 on average over matrices. With 263 features and c = 10,
+    /// one matrix has variances of about 0.4 to 3 and a condition number in the thousands.
     ///
     /// # Errors
-    /// [`EmphasisError::Setting`] about scale or channels; as [`from_matrix`](Self::from_matrix).
+    /// [`EmphasisError::Setting`] about scale or channels, and
+    /// [`from_matrix`](Self::from_matrix)'s.
     pub fn gaussian(
         normals: &[f32],
         dimension: usize,
@@ -56,11 +57,12 @@ impl EmphasisProjection {
     }
 
     /// The same emphasis with an orthogonal matrix Q: `P = s diag(c or 1) Q`, `s^2 (D - n + n c^2)
-    /// = D`. Q, from a QR decomposition of `normals` with positive diagonal of R, is uniformly
-    /// distributed. The mean variance is 1, the condition number the scale, its minimum.
+    /// = D`. Q comes from a QR decomposition of `normals` with positive diagonal of R and is
+    /// uniformly distributed. The mean variance is 1. The condition number is the scale, its
+    /// minimum.
     ///
     /// # Errors
-    /// As for [`gaussian`](Self::gaussian).
+    /// The errors of [`gaussian`](Self::gaussian).
     pub fn orthogonal(
         normals: &[f32],
         dimension: usize,
@@ -108,7 +110,7 @@ impl EmphasisProjection {
             condition_number,
             limit: SINGULAR,
         };
-        // All zeros divide to NaN.
+        // A matrix of zeros gives NaN.
         if condition_number.is_nan() || condition_number >= SINGULAR {
             return Err(singular());
         }
@@ -146,17 +148,19 @@ impl EmphasisProjection {
         multiply(&self.inverse, frames)
     }
 
-    /// Largest singular value of P by the smallest: amplification of errors in a round trip.
+    /// Largest singular value of P by the smallest: the error amplification of a round trip.
     pub fn condition_number(&self) -> f64 {
         self.condition_number
     }
 
-    /// Variance of each projected feature, `[dimension]`, of independent unit ones: `sum_i P_ij^2`.
+    /// Variance of each projected feature, `[dimension]`, for independent unit features: `sum_i
+    /// P_ij^2`.
     pub fn variance_per_dimension(&self) -> Vec<f64> {
         self.squares().column_sum().as_slice().to_vec()
     }
 
-    /// Share of the emphasised features in the total variance; expected: [`relative_importance`].
+    /// Share of the emphasized features in the total variance. The expectation is
+    /// [`relative_importance`].
     pub fn trajectory_share(&self) -> f64 {
         let of_rows = self.squares().row_sum();
         let emphasised: f64 = self.channels.iter().map(|&row| of_rows[row]).sum();
@@ -168,8 +172,8 @@ impl EmphasisProjection {
     }
 }
 
-/// Share of `channels` features in the total variance of `dimension` features of unit variance,
-/// scaled by `scale`: `n c^2 / (D - n + n c^2)` (GMD, appendix, equation 4).
+/// Share of `channels` features, scaled by `scale`, in the total variance of `dimension` unit
+/// features: `n c^2 / (D - n + n c^2)` (GMD, appendix, equation 4).
 ///
 /// # Panics
 /// Panics if there are more channels than features.

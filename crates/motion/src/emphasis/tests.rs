@@ -27,14 +27,14 @@ fn the_orthogonal_matrix_is_better_conditioned_and_its_round_trip_more_exact() {
         assert!(gaussian.condition_number > 20.0 * orthogonal.condition_number);
         assert!(gaussian.round_trip_max > 5.0 * orthogonal.round_trip_max);
         assert!(gaussian.round_trip_mean > 5.0 * orthogonal.round_trip_mean);
-        // Both emphasise alike; only the orthogonal one does so exactly.
+        // Both kinds have the same expected emphasis; the orthogonal kind is exact.
         let expected = relative_importance(scale, 3, 263);
         assert!((orthogonal.trajectory_share - expected).abs() < 1e-6);
         assert!((gaussian.trajectory_share - expected).abs() < 0.1);
         assert!((orthogonal.variance_mean - 1.0).abs() < 1e-6);
         assert!((gaussian.variance_mean - 1.0).abs() < 0.2);
     }
-    // An orthogonal matrix without emphasis leaves every variance as it is.
+    // An orthogonal matrix without emphasis does not change variances.
     let plain = of_kind(EmphasisKind::Orthogonal, 1.0, 0, 263).measure(0);
     assert!(plain.variance_std < 1e-6);
 }

@@ -8,12 +8,12 @@ use crate::vector::{length, minus};
 
 /// Foot contacts by the position of the sole.
 ///
-/// A contact has a low and slow frame, and extends with looser thresholds (hysteresis).
+/// A contact needs one low and slow frame, and extends with looser thresholds (hysteresis).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContactRule {
-    /// Height of the sole above the floor in such a frame, metres.
+    /// Largest height of the sole above the floor in the low and slow frame, metres.
     pub height: f64,
-    /// Speed of the sole in that frame, metres per second.
+    /// Largest speed of the sole in that frame, metres per second.
     pub speed: f64,
     /// Factor of both thresholds for the rest of the contact.
     pub lasting: f64,
@@ -35,7 +35,7 @@ impl Default for ContactRule {
 
 impl ContactRule {
     /// Contacts `[frames]` of a sole at `path`, `[frames, 3]`, metres with +y up, at `fps` frames
-    /// per second above a `floor`. The speed of a frame is that of its slower step.
+    /// per second above a `floor`. The speed of a frame is the speed of the slower adjacent step.
     pub fn contacts(&self, path: &[[f64; 3]], fps: f64, floor: f64) -> Vec<bool> {
         let pairs = path.windows(2);
         let steps = pairs.map(|pair| length(minus(pair[1], pair[0])) * fps);
@@ -61,26 +61,26 @@ impl ContactRule {
     }
 }
 
-/// Contacts of a joint by height and step to the next frame, as published; metres, per frame.
+/// Published rules for contacts of a joint, by height and step to the next frame, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum StepRule {
-    /// Low, and a short step (docs/sources.md, section 7, "Edge Considerations").
+    /// A low position and a short step (docs/sources.md, section 7, "Edge Considerations").
     HeightAndStep {
         /// Largest height above the floor.
         height: f64,
         /// Longest step.
         step: f64,
     },
-    /// A short step in both directions, at any height (docs/sources.md, section 7, option A).
+    /// A short vertical and horizontal step, at any height (docs/sources.md, section 7, option A).
     VerticalAndHorizontal {
         /// Largest vertical step.
         vertical: f64,
         /// Largest horizontal step.
         horizontal: f64,
     },
-    /// A squared step below this, as in HumanML3D.
+    /// A squared step below this value, as in HumanML3D.
     SquaredStep(f64),
-    /// A step of at most this, as in losses on foot contact.
+    /// A step of at most this length, as in foot-contact losses.
     Step(f64),
 }
 
@@ -91,7 +91,7 @@ impl StepRule {
         step: 0.03,
     };
 
-    /// Contacts of the joint at `path`, `[frames, 3]`, above a floor of that height.
+    /// Contacts of the joint at `path`, `[frames, 3]`, above a floor at height `floor`.
     pub fn contacts(&self, path: &[[f64; 3]], floor: f64) -> Vec<bool> {
         let stands = |(here, [x, y, z]): (&[f64; 3], [f64; 3])| match *self {
             Self::HeightAndStep { height, step } => {
@@ -125,7 +125,7 @@ pub fn runs(contacts: &[bool]) -> Vec<Range<usize>> {
     runs
 }
 
-/// Closes gaps and then removes contacts of fewer than `shortest` frames.
+/// Closes gaps of fewer than `shortest` frames, then removes contacts of fewer.
 pub fn without_short_runs(mut contacts: Vec<bool>, shortest: usize) -> Vec<bool> {
     for value in [false, true] {
         let mut first = 0;
@@ -170,7 +170,7 @@ mod tests {
         assert!(runs(&read("...")).is_empty());
     }
 
-    /// A sole of these heights in centimetres that moves on by these centimetres after each frame.
+    /// A sole with these heights and steps after each frame, in centimetres.
     fn path(heights: &[f64], steps: &[f64]) -> Vec<[f64; 3]> {
         let mut x = 0.0;
         let mut place = |(height, step): (&f64, &f64)| {
@@ -185,20 +185,20 @@ mod tests {
     fn low_and_slow_soles_stand_until_they_leave() {
         let rule = ContactRule::default();
         let at = |heights: &[f64], steps: &[f64]| rule.contacts(&path(heights, steps), 20.0, 0.0);
-        // 3.75 cm a frame are 0.75 m/s. The first frame of a contact is one that a quick step ends in.
+        // 3.75 cm per frame are 0.75 m/s. A contact begins in the frame at the end of a quick step.
         let steps = [9.0, 9.0, 1.0, 1.0, 1.0, 1.0, 3.0, 3.0, 9.0, 9.0];
         assert_eq!(at(&[2.0; 10], &steps), read("..#######."));
-        // Quick, though no step of a swing, and once slow enough.
+        // The sole is quick but does not swing; the second sole is slow enough once.
         assert_eq!(at(&[2.0; 6], &[4.0; 6]), read("......"));
         assert_eq!(
             at(&[2.0; 6], &[4.0, 4.0, 3.0, 5.0, 6.0, 9.0]),
             read("#####.")
         );
-        // Not as low as a contact must once be, but as low as one may go on.
+        // The height suffices to extend a contact, but not to start one.
         assert_eq!(at(&[6.0; 10], &steps), read(".........."));
         let rising = [6.0, 6.0, 6.0, 4.9, 6.0, 6.0, 7.4, 8.0, 8.0, 8.0];
         assert_eq!(at(&rising, &steps), read("..#####..."));
-        // Slow all the time, and then two frames only.
+        // The sole is always slow, then slow for only two frames.
         assert_eq!(at(&[2.0; 4], &[0.0; 4]), read("####"));
         let short = [9.0, 0.0, 9.0, 9.0, 9.0];
         assert_eq!(at(&[2.0; 5], &short), read("....."));

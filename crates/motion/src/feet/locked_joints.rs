@@ -13,16 +13,16 @@ pub struct LockedJoints {
     pub joints: Joints,
     /// Share of the frames in contact, of all feet.
     pub in_contact: f64,
-    /// Mean speed of feet in contact before, metres per second.
+    /// Mean speed of feet in contact before locking, metres per second.
     pub before: f64,
-    /// Mean speed of feet in contact after.
+    /// Mean speed of feet in contact after locking.
     pub after: f64,
-    /// Largest distance of a foot from its contact position, where the leg is too short, metres.
+    /// Largest distance of a foot from its contact position if the leg is too short, metres.
     pub missed: f64,
 }
 
-/// Locks the feet of `joints` where `rule` finds contacts above `floor` in `seen`, the joints
-/// themselves or their source.
+/// Locks the feet of `joints` during the contacts above `floor` that `rule` finds in `seen`, the
+/// joints or their source.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`] unless both are the same frames of joints of `skeleton`.
@@ -69,8 +69,8 @@ mod tests {
     use crate::metrics::skating_ratio;
     use crate::vector::{length, minus};
 
-    /// A walk whose joints slide along by `slide` metres a second, to the left as well. Where it
-    /// slides back its strides are longer than its path, so that its legs reach every place.
+    /// A walk whose joints slide by `slide` metres per second, and to the left. With a backward
+    /// slide the strides are longer than the path, so the legs reach every contact position.
     fn sliding_walk(skeleton: &Skeleton, slide: f64) -> Joints {
         let course = Course {
             speed: Box::new(|_| 1.1),
@@ -118,7 +118,7 @@ mod tests {
             locked.after,
             locked.missed
         );
-        // Every contact stays within a millimetre of one place.
+        // During a contact, a sole stays within a millimetre of one place.
         let fps = skeleton.description().fps;
         let mut places = 0;
         for leg in skeleton.legs() {
@@ -132,7 +132,7 @@ mod tests {
             }
         }
         assert!(places >= 4, "{places}");
-        // Bones keep their lengths, and what is above the legs its place.
+        // Bones keep their lengths, and joints above the legs their positions.
         for t in 0..slid.frames() {
             let (old, new) = (slid.frame(t), locked.joints.frame(t));
             for (joint, parent) in skeleton.parents().iter().enumerate() {
@@ -144,7 +144,7 @@ mod tests {
                 assert_eq!(old[joint], new[joint]);
             }
         }
-        // No joint jumps: a frame moves a foot by the swing's own 15 cm and the fading correction.
+        // No joint jumps: a foot moves per frame by the swing's 15 cm and the fading correction.
         let largest = |joints: &Joints| {
             let pairs = (1..joints.frames()).flat_map(|t| {
                 let pairs = joints.frame(t).iter().zip(joints.frame(t - 1));
@@ -163,7 +163,7 @@ mod tests {
         let skates = |joints: &Joints| skating_ratio(joints, fps, &[10, 11]).unwrap();
         let quick = sliding_walk(&skeleton, -0.48);
         let quick_held = lock_joints(&quick, &quick, &skeleton, &rule, 0.0).unwrap();
-        // A foot that has just left is low and quick: what a walk that does not slide has as well.
+        // A foot that has just lifted is low and quick, also in a walk without sliding.
         let own = skates(&sliding_walk(&skeleton, 0.0));
         let (before, after) = (skates(&quick), skates(&quick_held.joints));
         assert!(before > 0.9 && after < own + 0.05, "{before} {after} {own}");
@@ -171,7 +171,7 @@ mod tests {
 
     #[test]
     fn legs_that_are_too_short_are_stretched_and_reported() {
-        // It slides on, beyond its strides.
+        // The body slides further than its strides reach.
         let skeleton = Skeleton::humanml3d();
         let slid = sliding_walk(&skeleton, 0.4);
         let locked = lock_joints(&slid, &slid, &skeleton, &ContactRule::default(), 0.0).unwrap();
@@ -202,7 +202,7 @@ mod tests {
         let rule = ContactRule::default();
         let locked = lock_joints(&flying, &flying, &skeleton, &rule, 0.0).unwrap();
         assert_eq!(locked.joints, flying);
-        // On a floor at that height it stands as often as the walk does on its own.
+        // On a floor at that height the body stands as often as in the original walk.
         let on_floor = lock_joints(&flying, &flying, &skeleton, &rule, 0.3).unwrap();
         let own = lock_joints(&walk, &walk, &skeleton, &rule, 0.0).unwrap();
         assert!(own.in_contact > 0.1 && on_floor.in_contact == own.in_contact);
@@ -210,7 +210,7 @@ mod tests {
             (locked.in_contact, locked.before, locked.missed),
             (0.0, 0.0, 0.0)
         );
-        // Contacts of other joints count.
+        // The contacts are those of the other joints.
         let locked = lock_joints(&flying, &walk, &skeleton, &ContactRule::default(), 0.0).unwrap();
         assert!(locked.after < 1e-6 && locked.joints != flying);
         let short = Joints::new(walk.as_slice()[..22].to_vec(), 22).unwrap();

@@ -1,8 +1,8 @@
-//! Feet that are locked to the ground in contact, by two-bone inverse kinematics.
+//! Locking of feet to the ground during contact, by two-bone inverse kinematics.
 //!
 //! Averaged, learned or edited motion lets feet slide. [`lock`] moves a foot in contact to its mean
-//! position during that contact; hip and knee follow, and everything below the ankle moves along
-//! without rotation. Before and after a contact the correction fades within a few frames.
+//! position during that contact. Hip and knee rotate to follow; joints below the ankle move without
+//! rotation. Before and after a contact the correction fades within a few frames.
 //!
 //! [`ContactRule::contacts`] finds contacts; [`lock_joints`] does both for joints of a skeleton.
 
@@ -21,10 +21,12 @@ use crate::Quaternion;
 use crate::rotation::between;
 use crate::vector::{length, minus, plus};
 
-/// Longest leg as a share of its bones, so that the knee keeps its side; straighter legs stay so.
+/// Largest length of a bent leg as a share of its bones, so that the knee keeps its side.
+/// Straighter legs stay straight.
 const STRETCH: f64 = 0.9999;
 
-/// With the knee nearer to the leg's line than this share of the thigh, the sole decides its side.
+/// If the knee's distance from the leg's line is below this share of the thigh, the sole decides
+/// the knee's side.
 const STRAIGHT: f64 = 0.01;
 
 /// A leg, by the indices of its joints.
@@ -36,12 +38,12 @@ pub struct Leg {
     pub knee: usize,
     /// Joint at the end of the shin.
     pub ankle: usize,
-    /// The joint that is locked in contact: the ankle or one below it, such as the toe.
+    /// The joint that is locked in contact: the ankle or a joint below, such as the toe.
     pub sole: usize,
 }
 
 impl Leg {
-    /// The leg above an ankle; `None` without two parents, or if the sole is not below it.
+    /// The leg above an ankle; `None` without two parents, or if the sole is not below the ankle.
     pub fn above(ankle: usize, sole: usize, parents: &[Option<usize>]) -> Option<Self> {
         let knee = parents[ankle]?;
         let hip = parents[knee]?;
@@ -55,8 +57,8 @@ impl Leg {
     }
 }
 
-/// Rotations of a leg in one frame, in world coordinates, applied from the left. The orientation of
-/// the ankle does not change.
+/// Rotations of a leg in one frame, in world coordinates, applied from the left. The ankle keeps
+/// its orientation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Turns {
     /// The thigh's.
@@ -72,13 +74,13 @@ pub struct Locked {
     pub positions: Vec<Vec<[f64; 3]>>,
     /// Rotations of the legs, `[legs][frames]`.
     pub turns: Vec<Vec<Turns>>,
-    /// Distance of each sole from its contact position out of reach, `[legs][frames]`.
+    /// Distance of each sole from a contact position out of reach, `[legs][frames]`.
     pub missed: Vec<Vec<f64>>,
 }
 
-/// Locks every leg's sole in `positions`, `[frames][joints]`, where `contacts`, `[legs][frames]`,
-/// are set; corrections fade within `blend` frames before and after. `parents` precede their
-/// children. Positions out of a leg's reach are approached as far as possible.
+/// Locks every leg's sole in `positions`, `[frames][joints]`, during `contacts`, `[legs][frames]`.
+/// Corrections fade within `blend` frames before and after. `parents` precede their children. Legs
+/// approach positions out of reach as far as possible.
 pub fn lock(
     positions: &[Vec<[f64; 3]>],
     parents: &[Option<usize>],
@@ -111,7 +113,7 @@ pub fn lock(
     }
 }
 
-/// Mean step of a joint between frames in contact, of a `path` `[frames]`; 0 without any.
+/// Mean step of a `path`, `[frames]`, between frames in contact; 0 without contacts.
 pub fn sliding(path: &[[f64; 3]], contacts: &[bool]) -> f64 {
     let steps = path.windows(2).zip(contacts.windows(2));
     let steps = steps.filter(|(_, contacts)| contacts[0] && contacts[1]);
@@ -121,7 +123,7 @@ pub fn sliding(path: &[[f64; 3]], contacts: &[bool]) -> f64 {
     sum / f64::from(count.max(1))
 }
 
-/// Corrections of a path, `[frames]`: in contact, to the mean position of that contact.
+/// Corrections of a path, `[frames]`, to the mean position of each contact.
 fn corrections(path: &[[f64; 3]], contacts: &[bool], blend: usize) -> Vec<[f64; 3]> {
     let frames = path.len();
     let runs = runs(contacts);
@@ -150,13 +152,13 @@ fn corrections(path: &[[f64; 3]], contacts: &[bool], blend: usize) -> Vec<[f64; 
     by
 }
 
-/// 1 at a contact and 0 beyond the reach, smooth at both.
+/// The fade: 1 at a contact, 0 beyond the reach, smooth at both.
 fn fade(distance: usize, reach: usize) -> f64 {
     let part = distance as f64 / (reach + 1) as f64;
     1.0 - part * part * (3.0 - 2.0 * part)
 }
 
-/// Moves the ankle of a frame, and all joints below it, by `by`; bones keep their lengths.
+/// Moves the ankle and all joints below by `by` in one frame; bones keep their lengths.
 fn bend(frame: &mut [[f64; 3]], parents: &[Option<usize>], leg: &Leg, by: [f64; 3]) -> Turns {
     let [hip, knee, ankle] = [leg.hip, leg.knee, leg.ankle].map(|joint| frame[joint]);
     let still = Turns {
@@ -177,7 +179,7 @@ fn bend(frame: &mut [[f64; 3]], parents: &[Option<usize>], leg: &Leg, by: [f64; 
         let inner: f64 = (0..3).map(|axis| vector[axis] * along[axis]).sum();
         minus(vector, along.map(|value| inner * value))
     };
-    // First the whole leg, then the knee within its plane.
+    // The whole leg is rotated first, then the knee within the leg's plane.
     let aim = between(minus(ankle, hip), wanted);
     let thigh_aimed = aim.rotate(minus(knee, hip));
     let shin_aimed = aim.rotate(minus(ankle, knee));
@@ -203,7 +205,7 @@ fn bend(frame: &mut [[f64; 3]], parents: &[Option<usize>], leg: &Leg, by: [f64; 
         hip: between(thigh_aimed, new_thigh) * aim,
         knee: between(shin_aimed, new_shin) * aim,
     };
-    // The part of the leg to which each joint belongs.
+    // The part of the leg that each joint belongs to.
     let mut carried: Vec<Option<usize>> = vec![None; frame.len()];
     let old: Vec<[f64; 3]> = frame.to_vec();
     for joint in 0..frame.len() {

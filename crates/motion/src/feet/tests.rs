@@ -8,7 +8,7 @@ const LEG: Leg = Leg {
     sole: 4,
 };
 
-/// A pelvis, a leg with a toe, and a pocket on the thigh, which slide at constant speed.
+/// A pelvis, a leg with a toe, and a pocket on the thigh, all sliding at constant speed.
 fn sliding_leg(frames: usize) -> Vec<Vec<[f64; 3]>> {
     let at = |t: usize| {
         let x = 0.01 * t as f64;
@@ -56,7 +56,7 @@ fn feet_stay_in_contact_and_bones_keep_their_lengths() {
         }
         assert_eq!(frame[..2], old[..2]);
     }
-    // Nothing jumps, and nothing is left of it five frames away.
+    // The sole does not jump, and the correction is zero five frames away.
     let path = sole(&locked.positions);
     assert!(
         path.windows(2)
@@ -144,7 +144,7 @@ fn legs_of_different_bones_are_locked_at_their_own_positions() {
                 let bone = |f: &[[f64; 3]]| length(minus(f[a], f[b]));
                 assert!((bone(new) - bone(old)).abs() < 1e-9);
             }
-            // Two frames beside a contact, and no more, change.
+            // Only the two frames beside a contact change.
             let near = (t.saturating_sub(2)..(t + 3).min(25)).any(|t| contacts[t]);
             assert_eq!(new[leg.knee] == old[leg.knee], !near, "frame {t}");
         }
@@ -153,7 +153,7 @@ fn legs_of_different_bones_are_locked_at_their_own_positions() {
 
 #[test]
 fn a_place_out_of_reach_leaves_the_knee_on_its_side() {
-    // The body walks on over a foot that is to stay: from bent over straight to far beyond.
+    // The body walks over a locked foot: the leg is bent, then straight, then far too short.
     let mut motion = sliding_leg(60);
     for (t, frame) in motion.iter_mut().enumerate() {
         frame
@@ -176,7 +176,7 @@ fn a_place_out_of_reach_leaves_the_knee_on_its_side() {
         let along = minus(ankle, hip).map(|value| value / reach);
         let out = minus(knee, hip);
         let inner: f64 = (0..3).map(|axis| out[axis] * along[axis]).sum();
-        // Down the leg and across: the knee is in front, +z, or above where the leg lies down.
+        // The knee is in front of the leg (+z), or above a leg that lies down.
         let front = (out[2] - inner * along[2]) + (out[1] - inner * along[1]).max(0.0);
         sides.push(front);
     }
@@ -194,7 +194,7 @@ fn a_straight_leg_bends_towards_its_toes() {
         [0.0, 0.7, 0.0],
     ];
     let mut motion = vec![straight; 8];
-    // It sinks by a centimetre a frame, and the foot is to stay where it is on average.
+    // The body sinks by a centimetre per frame; the foot is locked at its mean position.
     for (t, frame) in motion.iter_mut().enumerate() {
         frame
             .iter_mut()
@@ -208,7 +208,7 @@ fn a_straight_leg_bends_towards_its_toes() {
         "{:?}",
         last[2]
     );
-    // A leg that is as straight as can be and to be longer stays as it is.
+    // A fully straight leg that would have to be longer does not change.
     assert!(locked.missed[0][0] > 0.03);
     assert!(length(minus(locked.positions[0][3], motion[0][3])) < 1e-9);
 }

@@ -13,7 +13,7 @@ struct Stop {
 }
 
 impl Goal {
-    /// Warnings about a valid goal: segments beyond a sprinter's speed, and positions in obstacles.
+    /// Warnings about a valid goal: segments faster than a sprinter, and positions in obstacles.
     pub fn feasibility_warnings(&self, fps: f64) -> Vec<String> {
         let stops = self.stops();
         let segments = too_fast(&stops, fps);
@@ -70,7 +70,7 @@ impl Goal {
     }
 }
 
-/// Segments between neighbouring targets that are too fast, with their speed.
+/// Segments between neighboring targets that are too fast, with their speed.
 fn too_fast(stops: &[Stop], fps: f64) -> impl Iterator<Item = (f64, String)> {
     stops.windows(2).filter_map(move |pair| {
         let [from, to] = pair else { return None };
@@ -86,7 +86,7 @@ fn too_fast(stops: &[Stop], fps: f64) -> impl Iterator<Item = (f64, String)> {
     })
 }
 
-/// The fastest of them, and the number of others.
+/// The fastest segment, and the number of other segments.
 fn fastest(segments: Vec<(f64, String)>) -> Option<String> {
     let all = segments.len();
     let (_, text) = segments.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
@@ -121,7 +121,7 @@ mod tests {
         ] {
             assert!(warnings[0].contains(part), "{warnings:?}");
         }
-        // Keyframes in any order; only the second segment is too fast.
+        // The keyframes are unsorted; only the second segment is too fast.
         let warnings = goal(&[(60, 0.0, 30.0), (40, 0.0, 10.0)]).feasibility_warnings(20.0);
         assert_eq!(warnings.len(), 1, "{warnings:?}");
         assert!(warnings[0].contains("from keyframe[1] (frame 40) to keyframe[0] (frame 60)"));

@@ -4,7 +4,7 @@ use super::Keyframe;
 
 /// Channels of the trajectory model, in its order: root rotation, x, z, height.
 pub const TRAJECTORY_CHANNELS: usize = 4;
-/// The x channel of the trajectory model and of a motion's features; z follows.
+/// The x channel in the trajectory model and in a motion's features; z is the next channel.
 pub const GROUND_X: usize = 1;
 
 /// Ground positions in metres for some frames of a clip.
@@ -14,7 +14,8 @@ pub struct GroundTargets {
 }
 
 impl GroundTargets {
-    /// The keyframes alone, in a clip of `frames` frames. The last of two for one frame counts.
+    /// Only the keyframes, in a clip of `frames` frames. If a frame has two keyframes, the last
+    /// counts.
     pub fn points(keyframes: &[Keyframe], frames: usize) -> Self {
         let mut targets = vec![None; frames];
         for keyframe in keyframes {
@@ -23,8 +24,8 @@ impl GroundTargets {
         Self { targets }
     }
 
-    /// The keyframes and straight lines between them at constant speed, from the origin in frame 0
-    /// unless that is a keyframe. Frames after the last keyframe have no target.
+    /// The keyframes and straight lines between keyframes, at constant speed. Without a keyframe in
+    /// frame 0, the line begins there at the origin. Frames after the last keyframe have no target.
     pub fn point_to_point(keyframes: &[Keyframe], frames: usize) -> Self {
         let mut ordered: Vec<&Keyframe> = keyframes.iter().collect();
         ordered.sort_by_key(|keyframe| keyframe.frame);
@@ -57,12 +58,12 @@ impl GroundTargets {
         self.targets.len()
     }
 
-    /// The target `[x, z]` of each frame, where it has one.
+    /// The target `[x, z]` of each frame, or `None`.
     pub fn positions(&self) -> &[Option<[f64; 2]>] {
         &self.targets
     }
 
-    /// The frames that have a target, each with its target `[x, z]`.
+    /// The frames with a target, and their targets `[x, z]`.
     pub fn masked(&self) -> impl Iterator<Item = (usize, [f64; 2])> + Clone {
         let targets = self.targets.iter().enumerate();
         targets.filter_map(|(frame, target)| target.map(|target| (frame, target)))

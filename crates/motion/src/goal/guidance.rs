@@ -23,14 +23,14 @@ pub enum GuidanceNorm {
 pub struct GuidanceConfig {
     /// The norm of the distance from a target.
     pub norm: GuidanceNorm,
-    /// Number of frames that enter the sum of distances, from the first on; the divisor counts the
-    /// targets of all frames. 120 in the published programs; all frames by default.
+    /// Number of frames, from the first on, in the sum of distances. The divisor counts the targets
+    /// of all frames. 120 in the published programs; the default is all frames.
     pub frame_limit: Option<usize>,
 }
 
 impl GuidanceConfig {
     /// # Errors
-    /// For a limit of no frames.
+    /// An error for a limit of 0.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         in_range("frame_limit", self.frame_limit.unwrap_or(1), 1..)
             .hint("leave it out to guide all frames")
@@ -45,8 +45,8 @@ impl GuidanceConfig {
 /// ```
 ///
 /// p is the ground position `[x, z]` of sample b in frame n, g its target, m the mask of targets, M
-/// the number of masked values in the batch of B samples, d the signed distance from an obstacle,
-/// N_b the number of the goal's frames, w and v the goal's weights.
+/// the number of masked values in the batch of B samples. d is the signed distance from an
+/// obstacle, N_b the number of the goal's frames, w and v the goal's weights.
 #[derive(Clone, Debug)]
 pub struct GuidanceLoss {
     norm: GuidanceNorm,
@@ -63,10 +63,11 @@ struct Sample {
 }
 
 impl GuidanceLoss {
-    /// The loss of a batch, one goal per sample, of `frames` frames; those beyond a goal are free.
+    /// The loss of a batch of `frames` frames with one goal per sample. Frames after a goal's end
+    /// are free.
     ///
     /// # Errors
-    /// If [`Goal::validate`] or [`GuidanceConfig::validate`] refuses, or a goal is too long.
+    /// The errors of [`Goal::validate`] and [`GuidanceConfig::validate`], and too long goals.
     pub fn new(
         config: &GuidanceConfig,
         goals: &[Goal],
@@ -93,10 +94,10 @@ impl GuidanceLoss {
         })
     }
 
-    /// The loss of motions that follow `paths`, one per goal, instead of its targets.
+    /// The loss with `paths`, one per goal, instead of the goals' targets.
     ///
     /// # Errors
-    /// As [`new`](Self::new).
+    /// The errors of [`new`](Self::new).
     pub fn along(
         config: &GuidanceConfig,
         goals: &[Goal],
@@ -114,7 +115,7 @@ impl GuidanceLoss {
     }
 
     /// The loss of ground positions `[batch, frames, 2]` in metres and its gradient, of that shape.
-    /// At a kink it is a subgradient: 0 at the target under the absolute norm and at the margin.
+    /// At kinks the subgradient is 0: at the margin, and at the target under the absolute norm.
     pub fn evaluate(&self, positions: &[f64]) -> (f64, Vec<f64>) {
         let width = 2 * self.frames;
         let expected = self.samples.len() * width;
@@ -167,7 +168,7 @@ impl Sample {
             for (position, gradient) in positions.iter().zip(gradient.iter_mut()).take(frames) {
                 let (distance, direction) = obstacle.distance_and_gradient(*position);
                 let depth = self.goal.margin - distance;
-                // NaN must not pass as outside.
+                // NaN must not count as outside.
                 if depth <= 0.0 {
                     continue;
                 }
@@ -184,7 +185,7 @@ impl Sample {
 /// B / M, the factor of each term of the first sum.
 fn factor(samples: &[Sample]) -> f64 {
     let masked: usize = samples.iter().map(|s| 2 * s.targets.masked().count()).sum();
-    // Without targets there is no term.
+    // Without targets the sum is empty.
     samples.len() as f64 / masked.max(1) as f64
 }
 

@@ -1,6 +1,6 @@
 //! Goals: position control of the root by keyframes, trajectories and obstacles.
 //!
-//! Positions are x and z in metres; frames are numbered from 0. Goals are read from TOML such as:
+//! Positions are x and z in metres; frames are numbered from 0. A goal in TOML:
 //!
 //! ```toml
 //! frames = 120            # length of the clip
@@ -22,7 +22,7 @@
 //! vertices = [[2.0, 0.0], [3.0, 0.0], [2.5, 1.0]]
 //! ```
 //!
-//! A trajectory, one position for each frame of a range, may replace the keyframes:
+//! A trajectory, with one position per frame of a range, may replace the keyframes:
 //!
 //! ```toml
 //! frames = 40
@@ -94,7 +94,7 @@ pub struct Trajectory {
     /// Frame of the first point, counted from 0.
     #[serde(default)]
     pub first_frame: usize,
-    /// Ground positions `[x, z]` of this frame and those after it, metres.
+    /// Ground positions `[x, z]` from this frame on, one per frame, metres.
     pub points: Vec<[f64; 2]>,
 }
 
@@ -151,8 +151,8 @@ impl Goal {
     }
 
     /// # Errors
-    /// For goals outside the clip, contradictory, not finite, or empty: names the first invalid
-    /// value, such as `keyframe[2].frame`.
+    /// Errors for goals that are outside the clip, contradictory, not finite, or empty. The error
+    /// names the first invalid value, such as `keyframe[2].frame`.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         in_range("frames", self.frames, 1..=MAX_FRAMES)
             .hint("`frames` is the length of the clip")?;
@@ -232,8 +232,8 @@ impl Goal {
     }
 
     /// The positions that are imputed in early sampling steps: the trajectory, or the keyframes
-    /// with the [line between them](GroundTargets::point_to_point). With obstacles only the
-    /// keyframes, because the line could cross an obstacle (GMD, appendix F).
+    /// with the [line between them](GroundTargets::point_to_point). A goal with obstacles imputes
+    /// only the keyframes, because the line could cross an obstacle (GMD, appendix F).
     pub fn dense(&self) -> GroundTargets {
         if self.trajectory.is_some() || !self.obstacles.is_empty() {
             return self.points();

@@ -10,30 +10,32 @@ use super::{check_metres, check_position, polygon};
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Obstacle {
-    /// All points nearer than `radius` to a centre.
+    /// All points within `radius` of a center.
     Disc {
-        /// Centre, x.
+        /// Center, x.
         x: f64,
-        /// Centre, z.
+        /// Center, z.
         z: f64,
         /// Radius, positive.
         radius: f64,
     },
     /// The inside of a simple polygon.
     Polygon {
-        /// Corners `[x, z]` in order, in either direction. The first may be repeated at the end.
+        /// Corners `[x, z]` in order, in either direction. The first corner may be repeated at the
+        /// end.
         vertices: Vec<[f64; 2]>,
     },
 }
 
 impl Obstacle {
-    /// Distance of a point from the obstacle's edge, metres: negative inside.
+    /// Distance of a point from the obstacle's edge, metres, negative inside.
     pub fn signed_distance(&self, point: [f64; 2]) -> f64 {
         self.distance_and_gradient(point).0
     }
 
-    /// The [signed distance](Self::signed_distance) and its gradient, a unit vector: that of the
-    /// first of several nearest edges, the outward normal on an edge, and +x in a disc's centre.
+    /// The [signed distance](Self::signed_distance) and its gradient, a unit vector. The first of
+    /// several nearest edges counts. The gradient on an edge is the outward normal, and at a disc's
+    /// center +x.
     pub fn distance_and_gradient(&self, point: [f64; 2]) -> (f64, [f64; 2]) {
         match self {
             &Self::Disc { x, z, radius } => {
@@ -50,7 +52,8 @@ impl Obstacle {
     }
 
     /// # Errors
-    /// For invalid numbers, and polygons with fewer than three corners or touching edges.
+    /// Errors for invalid numbers, and for polygons with fewer than three corners or with touching
+    /// edges.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         match self {
             &Self::Disc { x, z, radius } => {
@@ -81,7 +84,7 @@ mod tests {
 
     use super::*;
 
-    /// A square of side 2 about the origin, with a notch from its upper edge to the middle.
+    /// A square with side 2 around the origin, with a notch from the upper edge to the middle.
     fn notched() -> Obstacle {
         let vertices = vec![
             [-1.0, -1.0],
@@ -129,9 +132,9 @@ mod tests {
             assert_near(at([0.5, -3.0]), (2.0, [0.0, -1.0]));
             assert_near(at([0.5, -0.75]), (-0.25, [0.0, 1.0 - 2.0]));
             assert_near(at([4.0, -5.0]), (5.0, [0.6, -0.8]));
-            // In the notch, but inside the hull.
+            // A point in the notch is inside the hull.
             assert_near(at([0.1, 0.9]), (0.8 * root, [-root, root]));
-            // Inside, a reflex corner is nearest.
+            // For this inner point, a reflex corner is nearest.
             assert_near(at([0.0, -0.25]), (-0.25, [0.0, 1.0]));
             // On an edge and beyond a corner of it.
             assert_near(at([0.25, -1.0]), (0.0, [0.0, -1.0]));
@@ -194,8 +197,8 @@ mod tests {
             assert!(message(polygon(crossing)).contains("cross"), "{crossing:?}");
         }
         assert!(message(polygon(&[a, [1.0, f64::NAN], c])).contains("vertices[1].z"));
-        // A first corner that stands again at the end, or twice in a row, harms nothing; nor does
-        // a corner that bends nothing.
+        // Polygons may repeat the first corner at the end, or a corner twice in a row, and may have
+        // straight corners.
         for good in [&[a, b, c][..], &[a, b, b, c, d, a], &[a, middle, b, c]] {
             polygon(good).validate().unwrap();
         }
@@ -206,15 +209,14 @@ mod tests {
         fn gradients_are_those_of_the_distance(x in -3.0..3.0f64, z in -3.0..3.0f64, round: bool) {
             let obstacle = if round { disc() } else { notched() };
             let (distance, gradient) = obstacle.distance_and_gradient([x, z]);
-            // Half a step to each side stays on one side of a tie, mostly; the distance never
-            // changes by more than the step.
+            // Near a tie of edges the numeric gradient is shorter than 1 and is not compared.
             let step = 1e-6;
             let numeric = [[step, 0.0], [0.0, step]].map(|[dx, dz]| {
                 let ahead = obstacle.signed_distance([x + dx, z + dz]);
                 (ahead - obstacle.signed_distance([x - dx, z - dz])) / (2.0 * step)
             });
             prop_assert!((gradient[0].hypot(gradient[1]) - 1.0).abs() < 1e-9);
-            // Walking against the gradient arrives at the edge: exactness of both.
+            // Walking against the gradient ends on the edge, so both are exact.
             let edge = [x - distance * gradient[0], z - distance * gradient[1]];
             prop_assert!(obstacle.signed_distance(edge).abs() < 1e-9);
             let smooth = (numeric[0].hypot(numeric[1]) - 1.0).abs() < 1e-4;

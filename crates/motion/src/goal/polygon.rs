@@ -26,7 +26,7 @@ pub(super) fn distance_and_gradient(vertices: &[[f64; 2]], point: [f64; 2]) -> (
         if distance < nearest.0 || distance.is_nan() {
             nearest = (distance, offset, along);
         }
-        // A ray from the point in +x crosses the edge.
+        // The ray from the point towards +x crosses the edge.
         if (a[1] > point[1]) != (b[1] > point[1]) {
             let crossing = a[0] + (point[1] - a[1]) / along[1] * along[0];
             inside ^= point[0] < crossing;
@@ -34,7 +34,7 @@ pub(super) fn distance_and_gradient(vertices: &[[f64; 2]], point: [f64; 2]) -> (
     }
     let (distance, offset, along) = nearest;
     if distance == 0.0 {
-        // The outward side of an edge of an anticlockwise polygon (x to z).
+        // The outward side of an edge, for counterclockwise polygons (x to z).
         let doubled_area: f64 = edges(vertices).map(|(a, b)| cross(a, b)).sum();
         let length = along[0].hypot(along[1]).copysign(doubled_area);
         return (0.0, [along[1] / length, -along[0] / length]);
@@ -44,7 +44,7 @@ pub(super) fn distance_and_gradient(vertices: &[[f64; 2]], point: [f64; 2]) -> (
     (sign * distance, gradient)
 }
 
-/// Rejects polygons with fewer than three corners, and edges that touch elsewhere than there.
+/// Rejects polygons with fewer than three corners, and edges that touch between corners.
 pub(super) fn check(vertices: &[[f64; 2]]) -> Result<(), InvalidSetting> {
     let edges: Vec<_> = edges(vertices).collect();
     let mut corners: Vec<[f64; 2]> = edges.iter().map(|(corner, _)| *corner).collect();
@@ -79,13 +79,13 @@ pub(super) fn check(vertices: &[[f64; 2]]) -> Result<(), InvalidSetting> {
     Ok(())
 }
 
-/// Whether the second edge, which follows the first, runs back over it.
+/// True if the second edge, which follows the first, overlaps the first.
 fn folds_back((a, b): ([f64; 2], [f64; 2]), (_, c): ([f64; 2], [f64; 2])) -> bool {
     let (first, second) = (minus(b, a), minus(c, b));
     cross(first, second) == 0.0 && dot(first, second) < 0.0
 }
 
-/// Whether two edges have a point in common.
+/// True if two edges have a common point.
 fn intersect((a, b): ([f64; 2], [f64; 2]), (c, d): ([f64; 2], [f64; 2])) -> bool {
     let side = |from: [f64; 2], to: [f64; 2], point| cross(minus(to, from), minus(point, from));
     let (c_side, d_side) = (side(a, b, c), side(a, b, d));

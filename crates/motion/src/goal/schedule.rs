@@ -4,7 +4,7 @@ use kinegrad_settings::{InvalidSetting, Refused, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The targets that act in a step.
+/// The targets used in a sampling step.
 #[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {
@@ -12,14 +12,15 @@ pub enum Phase {
     Dense,
     /// The keyframes alone.
     Points,
-    /// None: the model finishes the motion.
+    /// No targets: the model finishes the motion.
     Off,
 }
 
 /// The last timestep, counted down, at which each [`Phase`] acts.
 ///
-/// GMD, appendix F, ends guidance and imputation at t = 20; the published evaluation changes from
-/// line to keyframes at t = 100, its demonstration imputes into the motion model until t = 1.
+/// GMD, appendix F, ends guidance and imputation at t = 20. The published evaluation changes from
+/// line to keyframes at t = 100. The published demonstration imputes into the motion model until t
+/// = 1.
 #[derive(Clone, Debug, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GuidanceSchedule {
@@ -28,9 +29,9 @@ pub struct GuidanceSchedule {
     /// Last timestep at which keyframes act.
     pub points_until: usize,
     /// Last timestep at which positions are imputed into the motion model's samples (1 in the
-    /// published demonstration); `points_until` still ends guidance. By default `points_until`.
-    /// Keyframes without a trajectory model end at `points_until` at the latest, because the motion
-    /// would jump to single imputed frames.
+    /// published demonstration). The default is `points_until`, which always ends guidance. Without
+    /// a trajectory model, keyframes end at `points_until` at the latest: the motion would jump to
+    /// single imputed frames.
     pub motion_until: Option<usize>,
 }
 
@@ -64,7 +65,7 @@ impl GuidanceSchedule {
     }
 
     /// # Errors
-    /// For a line that acts longer than its keyframes.
+    /// An error if the line outlasts the keyframes.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         let allowed = format!("{} (`points_until`) or more", self.points_until);
         let (dense, points) = (self.dense_until, self.points_until);

@@ -121,7 +121,7 @@ fn phases_choose_the_line_or_the_points() {
     assert_eq!(masked(&goal, Phase::Dense), Some(3));
     assert_eq!(masked(&goal, Phase::Points), Some(1));
     assert_eq!(masked(&goal, Phase::Off), None);
-    // A line might lead through an obstacle.
+    // A line could cross an obstacle.
     goal.obstacles = vec![disc(0.0, 5.0, 1.0)];
     assert_eq!(masked(&goal, Phase::Dense), Some(1));
 }
@@ -142,7 +142,7 @@ fn distances_are_divided_by_the_values_of_the_whole_batch() {
     let mut expected = [0.0; 12];
     (expected[0], expected[4], expected[5], expected[9]) = (-third, third, -third, third);
     assert_eq!(gradient, expected);
-    // Frame 2 leaves the sum but not the divisor.
+    // Frame 2 is not in the sum, but in the divisor.
     let limited = GuidanceConfig {
         frame_limit: Some(2),
         ..config.clone()
@@ -166,7 +166,7 @@ fn depth_in_obstacles_is_divided_by_the_frames_of_the_goal() {
     let config = GuidanceConfig::default();
     let mut positions = [5.0; 10];
     positions[2..4].copy_from_slice(&[0.6, 0.0]);
-    // Beyond the end of the goal.
+    // These frames are after the goal's end.
     positions[8..].copy_from_slice(&[0.0, 0.0]);
     let evaluate = |goal: &Goal| {
         let loss = GuidanceLoss::new(&config, std::slice::from_ref(goal), 5).unwrap();
@@ -232,7 +232,7 @@ proptest! {
             };
             let (before, here, after) = (at(-step), at(0.0), at(step));
             let numeric = (after - before) / (2.0 * step);
-            // On a kink the slopes of both sides differ, and any between them will do.
+            // At a kink the slopes of both sides differ, and all slopes in between are valid.
             let (left, right) = ((here - before) / step, (after - here) / step);
             let allowed = 1e-5 + (left - right).abs();
             prop_assert!((gradient[index] - numeric).abs() < allowed, "{index}");
@@ -256,7 +256,7 @@ fn paths_may_end_before_the_motion_does() {
     let path = |frames: usize| vec![[1.0, 2.0]; frames];
     let loss = GuidanceLoss::along(&config, &goals, &[path(2), path(5)], 5).unwrap();
     let (value, gradient) = loss.evaluate(&[0.0; 20]);
-    // Two samples, 14 numbers with a target, of which one in two is 1 off and the other 2.
+    // Two samples have 14 target values: half are off by 1, half by 2.
     assert!((value - 2.0 / 14.0 * 7.0 * 3.0).abs() < 1e-9, "{value}");
     let expected = |index: usize| {
         if (4..10).contains(&index) {

@@ -1,8 +1,8 @@
 //! Rotations of bones from joint positions, and back.
 //!
 //! The rotation of joint b rotates the bone that *ends* at b. In the published data every chain
-//! begins at the root quaternion, which maps world to body while bone rotations map body to world:
-//! the first contains the heading twice. Source: HumanML3D (docs/sources.md, section 3.2).
+//! begins at the root quaternion, which maps world to body. Bone rotations map body to world: the
+//! first contains the heading twice. Source: HumanML3D (docs/sources.md, section 3.2).
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -14,7 +14,7 @@ use crate::vector::{minus, plus, unit};
 
 /// Standard deviation of the heading filter, frames.
 const HEADING_DEVIATION: f64 = 20.0;
-/// Reach of the filter, frames.
+/// Reach of the heading filter, frames.
 const HEADING_REACH: usize = 80;
 
 /// Heading of the root quaternion.
@@ -28,7 +28,7 @@ pub enum Heading {
     Smoothed,
 }
 
-/// Signs with which the vectors across hips and shoulders are added.
+/// Signs of the vectors across hips and shoulders in their sum.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
 pub enum Across {
     /// Both from left to right.
@@ -37,7 +37,7 @@ pub enum Across {
     Published,
 }
 
-/// The horizontal direction that the joints of one frame face, of any length.
+/// The horizontal facing direction of one frame's joints, of any length.
 pub fn forward(skeleton: &Skeleton, frame: &[[f64; 3]], across: Across) -> [f64; 3] {
     let face = skeleton.description().face_joints;
     let hips = match across {
@@ -46,11 +46,11 @@ pub fn forward(skeleton: &Skeleton, frame: &[[f64; 3]], across: Across) -> [f64;
     };
     let shoulders = minus(frame[face.right_shoulder], frame[face.left_shoulder]);
     let [x, _, z] = unit(plus(hips, shoulders));
-    // The cross product of +y with it.
+    // The cross product of +y and the sum.
     [z, 0.0, -x]
 }
 
-/// The horizontal unit vector that the body faces, `[frames, 3]`, with the published signs.
+/// The horizontal facing direction, `[frames, 3]`, unit vectors, with the published signs.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`.
@@ -69,7 +69,7 @@ pub fn facing(
     Ok(directions.into_iter().map(unit).collect())
 }
 
-/// Vectors filtered over time, with the ends repeated.
+/// Vectors filtered over time, with repeated ends.
 fn smooth(vectors: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let reach = HEADING_REACH as i64;
     let weight = |offset: i64| (-0.5 * (offset as f64 / HEADING_DEVIATION).powi(2)).exp();
@@ -87,8 +87,9 @@ fn smooth(vectors: &[[f64; 3]]) -> Vec<[f64; 3]> {
     (0..=last).map(mean).collect()
 }
 
-/// Rotations of all joints, `[frames, J]`: the root quaternion (world to facing frame, the identity
-/// in the first frame), then those of the bones that end at joints 1 to J-1.
+/// Rotations of all joints, `[frames, J]`: the root quaternion, then the rotations of the bones
+/// that end at joints 1 to J-1. The root quaternion maps world to facing frame and is the identity
+/// in the first frame.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`.
@@ -126,7 +127,7 @@ pub(super) fn rotations_of_frame(
     rotations
 }
 
-/// The root quaternion of one frame by itself: world to facing frame.
+/// The root quaternion of a single frame: world to facing frame.
 pub(super) fn raw_root(skeleton: &Skeleton, frame: &[[f64; 3]]) -> Quaternion {
     let facing = unit(forward(skeleton, frame, Across::Published));
     between(facing, [0.0, 0.0, 1.0])
@@ -167,8 +168,8 @@ pub fn to_columns(rotation: Quaternion) -> [f64; 6] {
     [a, b, c, d, e, f]
 }
 
-/// The rotation of a matrix with these first two columns, made orthonormal: the first normalised,
-/// the third along first x second. The identity if they span no plane.
+/// The rotation of a matrix with these first two columns, made orthonormal: the first is
+/// normalized, the third is along first x second. The identity if the columns span no plane.
 pub fn from_columns([a, b, c, d, e, f]: [f64; 6]) -> Quaternion {
     let first = Vector3::new(a, b, c);
     let third = first.cross(&Vector3::new(d, e, f));

@@ -37,8 +37,9 @@ const HUMANML3D: [Joint; 22] = [
     ("right_wrist", DOWN, [-0.25, 0.0, 0.0]),
 ];
 
-/// Left and right as in the published facing joints and contact flags. Published raw directions of
-/// hips and shoulders point to the other side, which affects rotations but not positions.
+/// Left and right are those of the published facing joints and contact flags. The published raw
+/// directions of hips and shoulders point to the other side. This affects rotations but not
+/// positions.
 const KIT: [Joint; 21] = [
     ("root", [0.0; 3], [0.0; 3]),
     ("pelvis", UP, [0.0, 0.06, 0.0]),
@@ -66,8 +67,8 @@ const KIT: [Joint; 21] = [
 impl Skeleton {
     /// The 22 joints of HumanML3D at 20 frames per second: 263 channels.
     ///
-    /// The reference pose is this project's own; the dataset's is that of its first clip
-    /// ([`with_rest_pose`](Self::with_rest_pose)).
+    /// The reference pose is this project's own. The dataset's reference pose comes from its first
+    /// clip ([`with_rest_pose`](Self::with_rest_pose)).
     pub fn humanml3d() -> Self {
         built_in(
             &HUMANML3D,
@@ -90,8 +91,8 @@ impl Skeleton {
 
     /// The 21 joints of KIT at 12.5 frames per second: 251 channels.
     ///
-    /// The reference pose is this project's own, in metres; the dataset's files are in millimetres
-    /// and are converted when read ([`FeatureLayout::in_metres`]).
+    /// The reference pose is this project's own, in metres. The dataset's files are in millimetres
+    /// and converted when read ([`FeatureLayout::in_metres`]).
     ///
     /// [`FeatureLayout::in_metres`]: super::FeatureLayout::in_metres
     pub fn kit() -> Self {
@@ -115,8 +116,8 @@ impl Skeleton {
     }
 }
 
-/// The skeleton of these joints and the rest of the description. Names pair left and right joints
-/// and contain `feet`, the two joints of the contact flags.
+/// The skeleton of these joints. Names pair left and right joints and contain `feet`, the two
+/// joints of the contact flags.
 fn built_in(joints: &[Joint], feet: [&str; 2], description: SkeletonDescription) -> Skeleton {
     let place = |wanted: String| joints.iter().position(|(name, ..)| *name == wanted);
     let left = |part: &str| place(format!("left_{part}")).expect("a left joint");

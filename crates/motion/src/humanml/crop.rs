@@ -1,7 +1,8 @@
 //! Parts of a clip as clips of their own.
 //!
 //! Positions, velocities and contacts are in the facing frame and do not change. Rotations are the
-//! shortest from raw to world directions, and so depend on the heading ([`super::bone_rotations`]).
+//! shortest rotations from raw to world directions, so they depend on the heading
+//! ([`super::bone_rotations`]).
 
 use std::ops::Range;
 
@@ -12,11 +13,11 @@ use crate::rotation::between;
 use crate::vector::minus;
 
 impl Features {
-    /// The frames of `range` as if extraction started there: moved and rotated so that the first
-    /// is at x = z = 0 and faces +z. Frames that already begin so do not change.
+    /// The frames of `range` as if extraction started there. The frames are moved and rotated: the
+    /// first is at x = z = 0 and faces +z. A range that already begins there does not change.
     ///
     /// # Errors
-    /// [`FeatureError::LengthMismatch`] if they are not features of `skeleton`.
+    /// [`FeatureError::LengthMismatch`] for features of another skeleton.
     pub fn crop(&self, skeleton: &Skeleton, range: Range<usize>) -> Result<Self, FeatureError> {
         skeleton.accept_layout(self.layout())?;
         let part = self.slice(range.clone());
@@ -33,7 +34,7 @@ impl Features {
                 (row[0], row[1], row[2]) = ((angle - first_angle) as f32, x as f32, z as f32);
             }
         }
-        // A start that faces +z changes nothing, not even by rounding.
+        // If the start faces +z, nothing changes, not even by rounding.
         if start != Quaternion::IDENTITY {
             let rows = values.chunks_exact_mut(layout.channels());
             for (row, &facing) in rows.zip(facing) {
@@ -44,14 +45,14 @@ impl Features {
     }
 }
 
-/// Rotates the columns of one frame, six for each joint but the root, into the world rotated by
-/// `start`; `facing` is the root quaternion.
+/// Rotates the columns of one frame, six per joint except the root, into the world rotated by
+/// `start`. `facing` is the root quaternion.
 fn turn_rotations(skeleton: &Skeleton, columns: &mut [f32], facing: Quaternion, start: Quaternion) {
     let raw = &skeleton.description().raw_directions;
     let (columns, _) = columns.as_chunks_mut::<6>();
     let turned_facing = facing * start.conjugate();
     for chain in skeleton.chains() {
-        // The parent bones in the old world and in the new one.
+        // The parent bones in the old and the new world.
         let (mut above, mut turned_above) = (facing, turned_facing);
         for [_, end] in chain {
             let columns = &mut columns[end - 1];
@@ -75,7 +76,7 @@ mod tests {
         pairs.fold(0.0, |most: f32, (a, b)| most.max((a - b).abs()))
     }
 
-    /// A walk that turns, turned and moved to begin with.
+    /// A turning walk with a rotated and moved start.
     fn turning(skeleton: &Skeleton) -> Joints {
         let course = Course {
             speed: Box::new(|t| 0.9 + 0.2 * t.sin()),
@@ -89,7 +90,7 @@ mod tests {
         Joints::new(places.collect(), skeleton.joints()).unwrap()
     }
 
-    /// Features with the raw heading and without moving, so that a part has the floor of the clip.
+    /// Features with the raw heading and without rescaling.
     fn extracted(skeleton: &Skeleton, joints: &Joints) -> Features {
         let extraction = Extraction {
             rescale: false,
@@ -119,11 +120,11 @@ mod tests {
                 let found = clip.crop(&skeleton, range.clone()).unwrap();
                 let apart = largest(found.as_slice(), expected.as_slice());
                 assert!(apart < 1e-4, "{range:?} {root}: {apart}");
-                // By its rotations the part has the joints that it has by its positions.
+                // The part's rotations and positions give the same joints.
                 let places = found.joints_from_rotations(&skeleton).unwrap().to_f32();
                 let apart = largest(&places, &found.joints().to_f32());
                 assert!(apart < 1e-4, "{range:?} {root}: {apart}");
-                // A slice alone does not.
+                // A slice does not rotate the rotations.
                 let cut = clip.slice(range.clone());
                 if range.start > 0 {
                     let rotations = |features: &Features| features.frame(0)[67..193].to_vec();

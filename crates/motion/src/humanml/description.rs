@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// The description of a skeleton, as stored in files; [`Skeleton`](super::Skeleton) is its
+/// The description of a skeleton, as stored in files. [`Skeleton`](super::Skeleton) is the
 /// validated form. Joints are indices. Axes: +x left, +y up, +z forward.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
@@ -13,7 +13,8 @@ pub struct SkeletonDescription {
     pub fps: f64,
     /// Names of the joints, `[J]`, the root first.
     pub joint_names: Vec<String>,
-    /// Bones as chains: the first begins at joint 0, later ones at a joint of an earlier one.
+    /// Bones as chains. The first chain begins at joint 0, later chains at a joint of an earlier
+    /// chain.
     pub chains: Vec<Vec<usize>>,
     /// Directions of bones without rotation, `[J, 3]`: unit vectors, joint 0 unused.
     pub raw_directions: Vec<[f64; 3]>,
@@ -21,11 +22,11 @@ pub struct SkeletonDescription {
     pub rest_offsets: Vec<[f64; 3]>,
     /// Joints that define the facing direction.
     pub face_joints: FaceJoints,
-    /// Pairs of left and right joints; others lie in the middle.
+    /// Pairs of left and right joints; other joints lie in the middle.
     pub mirrored_joints: Vec<[usize; 2]>,
     /// The joints of the feet, in the order of the contact flags.
     pub feet: Feet,
-    /// Two joints whose bones' lengths measure the body: a knee and an ankle.
+    /// A knee and an ankle: the lengths of their bones measure the body.
     pub leg_joints: [usize; 2],
 }
 

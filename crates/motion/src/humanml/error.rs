@@ -33,7 +33,7 @@ pub enum FeatureError {
         width: usize,
     },
 
-    /// No skeleton has so many channels.
+    /// No skeleton has this number of channels.
     #[error("{found} channels are not the features of any skeleton")]
     #[diagnostic(help(
         "a skeleton of J joints has 12 J - 1 channels: 263 for 22 joints (HumanML3D), 251 for 21 \
@@ -102,7 +102,7 @@ pub enum FeatureError {
 }
 
 impl FeatureError {
-    /// Rejects `what` unless it has as many entries as needed.
+    /// Rejects `what` unless it has the needed number of entries.
     ///
     /// # Errors
     /// [`LengthMismatch`](Self::LengthMismatch).

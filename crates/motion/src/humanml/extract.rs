@@ -20,9 +20,9 @@ pub struct Extraction {
     /// [Rescale](rescale) every clip to the reference bones, as in the published dataset.
     pub rescale: bool,
     /// A foot joint is in contact where its squared displacement to the next frame is below this,
-    /// square metres. The published 0.002 are 4.5 cm a frame, without a height test.
+    /// square metres. The published 0.002 is 4.5 cm per frame, without a height test.
     pub contact_threshold: f64,
-    /// Heading of the root; published features use the smoothed one.
+    /// Heading of the root; published features use the smoothed heading.
     pub heading: Heading,
 }
 
@@ -37,8 +37,8 @@ impl Default for Extraction {
 }
 
 impl Extraction {
-    /// The features of a clip, with relative root: T frames give T - 1 rows. The clip is rescaled
-    /// if `rescale` is set, and [canonicalized](canonicalize).
+    /// The features of a clip, with relative root: T frames give T - 1 rows. The clip is
+    /// [canonicalized](canonicalize), and rescaled if `rescale` is set.
     ///
     /// # Errors
     /// [`FeatureError::Setting`] for an invalid contact threshold; other errors about the joints.
@@ -50,7 +50,7 @@ impl Extraction {
         self.features_in_place(skeleton, &canonicalize(skeleton, joints)?)
     }
 
-    /// [`features`](Self::features) with a row for each frame: the last step is repeated.
+    /// [`features`](Self::features) with one row per frame: the last step is repeated.
     ///
     /// # Errors
     /// As [`features`](Self::features).
@@ -62,7 +62,8 @@ impl Extraction {
         self.features(skeleton, &extrapolated(joints)?)
     }
 
-    /// The features of a clip as it is: heights above y = 0, the first frame counted as facing +z.
+    /// The features of an unchanged clip: heights are above y = 0, and the first frame counts as
+    /// facing +z.
     ///
     /// # Errors
     /// As [`features`](Self::features).
@@ -97,7 +98,7 @@ impl Extraction {
         Ok(())
     }
 
-    /// The features of a frame with its rotations, and of its step to the next root quaternion.
+    /// The features of a frame with `rotations`, and of the step to the next frame.
     pub(super) fn row(
         &self,
         skeleton: &Skeleton,
@@ -111,7 +112,7 @@ impl Extraction {
         let mut values = Vec::with_capacity(skeleton.layout().channels());
         let turn = next_facing * facing.conjugate();
         // The shorter rotation, also where the heading passes the direction opposite to the first
-        // frame's. The published script takes the longer one there, and turns back for a frame.
+        // frame's. The published script takes the longer rotation there and turns back for a frame.
         let half_turn = turn.y.copysign(turn.y * turn.w);
         let [x, _, z] = next_facing.rotate(steps[0]);
         values.extend([half_turn.clamp(-1.0, 1.0).asin(), x, z, frame[0][1]]);
@@ -126,7 +127,7 @@ impl Extraction {
     }
 }
 
-/// The clip with one more frame, which repeats the last step.
+/// The clip with an extra frame that repeats the last step.
 ///
 /// # Errors
 /// [`FeatureError::NonFinite`] if values overflow.
@@ -139,7 +140,7 @@ pub fn extrapolated(joints: &Joints) -> Result<Joints, FeatureError> {
     Joints::new(places, joints.joints())
 }
 
-/// The joints of one frame from the root's ground position, rotated by the root quaternion.
+/// The joints of one frame relative to the root's ground position, rotated by the root quaternion.
 pub fn in_facing_frame(frame: &[[f64; 3]], facing: Quaternion) -> impl Iterator<Item = [f64; 3]> {
     let [x, _, z] = frame[0];
     let places = frame.iter();
@@ -177,7 +178,7 @@ pub fn leg_ratio(skeleton: &Skeleton, joints: &Joints) -> Result<f64, FeatureErr
     Ok(legs(&skeleton.offsets()) / source)
 }
 
-/// The clip with its lowest joint at y = 0, the first root at x = z = 0, facing +z.
+/// The clip with the lowest joint at y = 0 and the first root at x = z = 0, facing +z.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`]; [`FeatureError::NonFinite`] if values overflow.
@@ -201,7 +202,7 @@ mod tests {
     fn a_body_that_turns_round_and_round_keeps_its_heading() {
         let skeleton = Skeleton::humanml3d();
         let rest = &skeleton.description().rest_offsets;
-        // Two turns and a half to the left within nine seconds, along +x.
+        // The body makes 2.5 turns to the left within nine seconds, along +x.
         let (frames, rate) = (180, 0.09);
         let mut places = Vec::new();
         for t in 0..frames {

@@ -77,7 +77,7 @@ impl Features {
     }
 
     /// The rows of `range` unchanged. With relative root the part begins at x = z = 0 facing +z,
-    /// but its rotations do not; [`crop`](Self::crop) rotates them too.
+    /// but the rotations keep the old heading. [`crop`](Self::crop) also rotates the rotations.
     #[must_use]
     pub fn slice(&self, range: Range<usize>) -> Self {
         assert!(!range.is_empty(), "a clip has at least one frame");
@@ -132,7 +132,7 @@ impl Features {
         }
     }
 
-    /// The joints from the positions in the features, `[frames, J, 3]`.
+    /// The joints by the positions in the features, `[frames, J, 3]`.
     pub fn joints(&self) -> Joints {
         let count = self.layout.joints();
         let mut places = Vec::with_capacity(self.frames() * count);
@@ -166,10 +166,10 @@ impl Features {
         forward_kinematics(skeleton, &skeleton.offsets(), &roots, &rotations)
     }
 
-    /// The features of the clip reflected at the plane x = 0, those of [`Joints::mirror`].
+    /// The features of the clip reflected at the plane x = 0, as by [`Joints::mirror`].
     ///
     /// # Errors
-    /// [`FeatureError::LengthMismatch`] if they are not features of `skeleton`.
+    /// [`FeatureError::LengthMismatch`] for features of another skeleton.
     pub fn mirror(&self, skeleton: &Skeleton) -> Result<Self, FeatureError> {
         /// Signs of a rotation's two columns.
         const ROTATION: [f32; 6] = [1.0, -1.0, -1.0, -1.0, 1.0, 1.0];
@@ -179,7 +179,7 @@ impl Features {
         let (layout, channels) = (self.layout, self.layout.channels());
         let mut source: Vec<usize> = (0..channels).collect();
         let mut sign = vec![1.0; channels];
-        // Half angle and sideways step change sign in both representations of the root.
+        // The half angle and the sideways step change sign in both root representations.
         (sign[0], sign[1]) = (-1.0, -1.0);
         let mut reflect = |range: Range<usize>, first_joint: usize, signs: &[f32]| {
             for channel in range.clone() {
@@ -209,7 +209,8 @@ mod tests {
     use super::super::{Extraction, test_clip};
     use super::*;
 
-    /// Relative features as of a real clip: small changes, other channels by their number.
+    /// Relative features like those of a real clip: small changes, other channels equal to their
+    /// index.
     fn relative(frames: usize) -> impl Strategy<Value = Features> {
         let row = (-0.2f32..0.2, -0.1f32..0.1, -0.1f32..0.1, 0.5f32..1.5);
         proptest::collection::vec(row, 1..=frames).prop_map(|rows| {
@@ -307,7 +308,7 @@ mod tests {
             if last > 0 {
                 prop_assert!(apart(&back.slice(0..last), &relative.slice(0..last)) < 1e-4);
             }
-            // The last row's change is not determined; all else of it is.
+            // The change in the last row is not determined; the other channels are.
             prop_assert_eq!(&back.frame(last)[3..], &relative.frame(last)[3..]);
         }
     }

@@ -83,7 +83,7 @@ impl Joints {
         values.map(|value| *value as f32).collect()
     }
 
-    /// Positions that are whole frames and finite by construction.
+    /// Positions that are finite whole frames by construction.
     pub(super) fn computed(values: Vec<[f64; 3]>, joints: usize) -> Self {
         debug_assert!(values.len().is_multiple_of(joints));
         Self { values, joints }
@@ -100,7 +100,7 @@ impl Joints {
     /// The clip reflected at the plane x = 0: paired joints are swapped and x is negated.
     ///
     /// # Errors
-    /// [`FeatureError::LengthMismatch`] if they are not joints of `skeleton`.
+    /// [`FeatureError::LengthMismatch`] for joints of another skeleton.
     pub fn mirror(&self, skeleton: &Skeleton) -> Result<Self, FeatureError> {
         self.must_be_of(skeleton)?;
         let mirrored = skeleton.mirrored();

@@ -48,7 +48,7 @@ impl FeatureLayout {
     /// The layout of frames with `channels` channels.
     ///
     /// # Errors
-    /// [`FeatureError::InvalidChannels`] if no skeleton has so many.
+    /// [`FeatureError::InvalidChannels`] if no skeleton has this number of channels.
     pub fn of_channels(channels: usize) -> Result<Self, FeatureError> {
         let joints = channels.saturating_add(1) / 12;
         Self::of_joints(joints)
@@ -87,7 +87,7 @@ impl FeatureLayout {
         follow(self.velocities(), CONTACTS)
     }
 
-    /// The seven groups that share one deviation in normalisation: root rotation, ground, height,
+    /// The seven groups that share one deviation in normalization: root rotation, ground, height,
     /// positions, rotations, velocities, contacts (docs/sources.md, section 3.5).
     pub fn groups(self) -> [Range<usize>; 7] {
         [
@@ -101,7 +101,7 @@ impl FeatureLayout {
         ]
     }
 
-    /// Joint (none of root and contacts) and published component name of channel `index`.
+    /// Joint and published component name of channel `index`; root and contacts have no joint.
     pub(super) fn channel(self, index: usize) -> (Option<usize>, &'static str) {
         assert!(index < self.channels(), "channel {index} does not exist");
         let columns = [

@@ -1,10 +1,10 @@
 //! Joint positions and features as in HumanML3D: `12 J - 1` channels for J joints, 263 for 22.
 //!
-//! Metres (published features in millimetres are converted when read), +y up, the skeleton's own
-//! frame rate, velocities per frame. Root quaternions map world to facing frame and enter the
-//! features by half their angle ([`Root`]). Features are stored in single precision and computed in
-//! double. Source: C. Guo et al., "Generating Diverse and Natural 3D Human Motions from Text"
-//! (2022), and GMD, appendix B (docs/sources.md, sections 3 and 4.1).
+//! Units are metres and frames (velocities per frame), with +y up and the skeleton's own frame
+//! rate. Published features in millimetres are converted when read. Root quaternions map world to
+//! facing frame; the features contain half the angle ([`Root`]). Features are stored in single
+//! precision and computed in double. Source: C. Guo et al., "Generating Diverse and Natural 3D
+//! Human Motions from Text" (2022), and GMD, appendix B (docs/sources.md, sections 3 and 4.1).
 //!
 //! ```
 //! use kinegrad_motion::humanml::{Extraction, Features, Joints, Root, Skeleton};
@@ -32,7 +32,7 @@
 //! # Ok::<(), kinegrad_motion::humanml::FeatureError>(())
 //! ```
 
-/// Width of a pooled text feature: CLIP's ViT-B/32, which published models are conditioned on.
+/// Width of a pooled text feature of CLIP's ViT-B/32, the condition of published models.
 pub const TEXT_CHANNELS: usize = 512;
 
 pub mod bone_rotations;

@@ -9,10 +9,10 @@ use super::{FeatureError, FeatureLayout};
 use crate::Quaternion;
 use crate::vector::plus;
 
-/// Representation of the next pose, `[J, 3]` in metres, in the facing frame of the current one
-/// relative to the root's ground position (docs/sources.md, section 5).
+/// Representation of the next pose, `[J, 3]` in metres, relative to the current root's ground
+/// position and in the current facing frame (docs/sources.md, section 5).
 ///
-/// Row t of features determines both, so the history that predicts frame t + 1 ends with row t - 1.
+/// Feature row t determines frame t + 1, so the history that predicts it ends with row t - 1.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, JsonSchema, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NextPose {
@@ -24,7 +24,7 @@ pub enum NextPose {
 }
 
 impl fmt::Display for NextPose {
-    /// Its name in a config.
+    /// The name in a config.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.serialize(f)
     }
@@ -34,7 +34,7 @@ impl NextPose {
     /// The target of a row of features, `[12 J - 1]` to `[J, 3]`.
     ///
     /// # Errors
-    /// [`FeatureError::InvalidChannels`] if no skeleton has so many channels.
+    /// [`FeatureError::InvalidChannels`] if no skeleton has this number of channels.
     pub fn of_row(self, row: &[f32]) -> Result<Vec<f32>, FeatureError> {
         let layout = FeatureLayout::of_channels(row.len())?;
         let mut target = row[layout.velocities()].to_vec();

@@ -16,7 +16,7 @@ use crate::vector::{minus, plus};
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Root {
-    /// Changes to the next frame, as in published HumanML3D; the path begins at x = z = 0 facing
+    /// Changes to the next frame, as in published HumanML3D. The path begins at x = z = 0 facing
     /// +z.
     #[default]
     Relative,
@@ -25,14 +25,14 @@ pub enum Root {
 }
 
 impl fmt::Display for Root {
-    /// Its name in a config.
+    /// The name in a config.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.serialize(f)
     }
 }
 
 impl Root {
-    /// The half angles `a` in radians, `[frames]`, of channels 0 to 3, `[frames, 4]`.
+    /// The half angles `a` in radians, `[frames]`, from channels 0 to 3, `[frames, 4]`.
     pub fn half_angles(self, channels: &[[f64; 4]]) -> Vec<f64> {
         let rotations = channels.iter().map(|[rotation, ..]| *rotation);
         match self {
@@ -76,7 +76,7 @@ impl Root {
     }
 
     /// The same path in representation `to`, `[frames, 4]`. From absolute to relative, the start is
-    /// lost and the last change repeats the one before (zero for a single frame).
+    /// lost and the last change repeats the previous change (zero for a single frame).
     pub fn convert(self, channels: &[[f64; 4]], to: Self) -> Vec<[f64; 4]> {
         match (self, to) {
             (Self::Relative, Self::Absolute) => {
@@ -100,10 +100,11 @@ impl Root {
         }
     }
 
-    /// The gradient by channels, `[frames, 4]`, from `upstream`, that by positions `[frames, 2]`.
+    /// The gradient with respect to channels, `[frames, 4]`, from the `upstream` gradient of
+    /// positions, `[frames, 2]`.
     ///
-    /// With G(s) the sum of `upstream` from frame s on, a relative step before frame s gets G(s) in
-    /// its own frame, and each rotation gets the sum over all later angles.
+    /// G(s) is the sum of `upstream` from frame s on. A relative step before frame s gets G(s) in
+    /// its own frame, a rotation the sum over later angles.
     pub fn ground_gradient(self, channels: &[[f64; 4]], upstream: &[[f64; 2]]) -> Vec<[f64; 4]> {
         assert_eq!(upstream.len(), channels.len(), "one gradient a frame");
         if self == Self::Absolute {
@@ -116,7 +117,7 @@ impl Root {
             later = plus(later, upstream[t]);
             let [_, x, z, _] = channels[t - 1];
             let step = turn(-angles[t], [x, z]);
-            // a grown by one unit turns the step by two towards (-z, x).
+            // One unit of the half angle `a` turns the step by two units towards (-z, x).
             angle_gradient += 2.0 * (later[1] * step[0] - later[0] * step[1]);
             let [x, z] = turn(angles[t], later);
             gradient[t - 1] = [angle_gradient, x, z, 0.0];
@@ -124,8 +125,8 @@ impl Root {
         gradient
     }
 
-    /// The squared ground distances to `target` (x, z), summed over all frames, in square metres,
-    /// with the gradient with respect to channels 0 to 3, `[frames, 4]`.
+    /// The sum of squared ground distances to `target` (x, z) over all frames, square metres, and
+    /// the gradient with respect to channels 0 to 3, `[frames, 4]`.
     pub fn ground_distance(
         self,
         channels: &[[f64; 4]],
@@ -163,7 +164,7 @@ mod tests {
         let quarter = std::f64::consts::FRAC_PI_4;
         let trajectory = [[-quarter, 0.0, 2.0, 0.9], [0.0, 0.0, 1.0, 1.0], [0.0; 4]];
         let positions = Root::Relative.positions(&trajectory);
-        // Facing +x from the second frame on, forward leads along +x.
+        // The body faces +x from the second frame on: forward is +x.
         let expected = [[0.0, 0.9, 0.0], [2.0, 1.0, 0.0], [3.0, 0.0, 0.0]];
         for (found, expected) in positions.iter().flatten().zip(expected.iter().flatten()) {
             assert!((found - expected).abs() < 1e-12);

@@ -1,4 +1,4 @@
-//! The tree of joints that features are made of, as data.
+//! The joint tree of features, as data.
 
 use serde::{Deserialize, Serialize};
 
@@ -19,7 +19,7 @@ impl Skeleton {
     /// Checks a description.
     ///
     /// # Errors
-    /// [`FeatureError::InvalidSkeleton`] naming the field if it contradicts itself.
+    /// [`FeatureError::InvalidSkeleton`] names the contradictory field.
     pub fn new(description: SkeletonDescription) -> Result<Self, FeatureError> {
         let parents = super::validate::parents(&description)?;
         super::validate::the_rest(&description)?;
@@ -34,7 +34,7 @@ impl Skeleton {
     /// The same skeleton with the bones of a reference pose: `joints`, `[J, 3]`, metres.
     ///
     /// # Errors
-    /// [`FeatureError::LengthMismatch`]; [`FeatureError::InvalidSkeleton`] for a bone of no length.
+    /// [`FeatureError::LengthMismatch`]; [`FeatureError::InvalidSkeleton`] for a bone of length 0.
     pub fn with_rest_pose(&self, joints: &[[f64; 3]]) -> Result<Self, FeatureError> {
         let what = "joints of the reference pose";
         FeatureError::unless_equal(what, self.joints(), joints.len())?;
@@ -49,7 +49,7 @@ impl Skeleton {
         })
     }
 
-    /// Its description.
+    /// The description.
     pub fn description(&self) -> &SkeletonDescription {
         &self.description
     }
@@ -82,7 +82,7 @@ impl Skeleton {
         [left[0], left[1], right[0], right[1]]
     }
 
-    /// The left and right leg, from hip to toe; a leg without knee and ankle is left out.
+    /// The left and right leg, from hip to toe. A leg without knee and ankle is omitted.
     pub fn legs(&self) -> Vec<Leg> {
         let (hips, feet) = (&self.description.face_joints, &self.description.feet);
         let sides = [(hips.left_hip, feet.left), (hips.right_hip, feet.right)];

@@ -4,8 +4,8 @@ use super::bone_rotations::{forward_kinematics, inverse_kinematics, raw_root, ro
 use super::{Extraction, FeatureError, Heading, Joints, Skeleton};
 use crate::Quaternion;
 
-/// Features frame by frame, as [`Extraction::features_in_place`] with [`Heading::Raw`]: the
-/// smoothed heading looks 80 frames ahead and is unavailable in real time.
+/// Features frame by frame, equal to [`Extraction::features_in_place`] with [`Heading::Raw`]. The
+/// smoothed heading needs 80 future frames and is unavailable in real time.
 #[derive(Clone, Debug)]
 pub struct FeatureStream {
     skeleton: Skeleton,
@@ -13,7 +13,7 @@ pub struct FeatureStream {
     /// The last frame and its rotations.
     last: Option<(Vec<[f64; 3]>, Vec<Quaternion>)>,
     frames: usize,
-    /// Whether the first frame has its own heading.
+    /// True if the first frame has its own heading.
     own_heading: bool,
 }
 
@@ -21,7 +21,7 @@ pub struct FeatureStream {
 const FURTHEST: f64 = 1e15;
 
 impl FeatureStream {
-    /// A stream before its first frame, with this [`Extraction::contact_threshold`].
+    /// An empty stream with this [`Extraction::contact_threshold`].
     ///
     /// # Errors
     /// [`FeatureError::Setting`] for a contact threshold that is negative or not finite.
@@ -41,7 +41,7 @@ impl FeatureStream {
         })
     }
 
-    /// The same for a motion that begins in any heading, on which published rotations depend.
+    /// The stream for a motion with any first heading, on which published rotations depend.
     #[must_use]
     pub fn with_own_heading(self) -> Self {
         Self {
@@ -50,7 +50,8 @@ impl FeatureStream {
         }
     }
 
-    /// Adds the next frame, `[J, 3]` in metres; returns the row of the one before, `[12 J - 1]`.
+    /// Adds the next frame, `[J, 3]` in metres; returns the row of the previous frame, `[12 J -
+    /// 1]`.
     ///
     /// # Errors
     /// [`FeatureError::LengthMismatch`] for another number of joints; [`FeatureError::NonFinite`]
@@ -99,7 +100,8 @@ impl FeatureStream {
     }
 }
 
-/// The frame, `[J, 3]`, with bones `offsets` ([`Skeleton::offsets_of_frame`]) in its directions.
+/// The frame, `[J, 3]`, with bones `offsets` ([`Skeleton::offsets_of_frame`]) in the frame's
+/// directions.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`]; [`FeatureError::NonFinite`] if a coordinate is not finite.
@@ -192,7 +194,7 @@ mod tests {
         let turned = Joints::new(turned, skeleton.joints()).unwrap();
         let rows = |clip: &Joints, mut stream: FeatureStream| -> Vec<f32> {
             let rows = (0..12).filter_map(|t| stream.push(clip.frame(t)).unwrap());
-            // All channels but the rotations.
+            // All channels except the rotations.
             let rotations = skeleton.layout().rotations();
             let but_rotations =
                 |row: Vec<f32>| [&row[..rotations.start], &row[rotations.end..]].concat();
@@ -205,7 +207,7 @@ mod tests {
             pairs.fold(0.0f32, |most, (a, b)| most.max((a - b).abs()))
         };
         assert!(apart(&found, &expected) < 1e-5);
-        // Otherwise the first row is of another facing frame.
+        // Without an own heading, the first row is in another facing frame.
         let facing_z = rows(&turned, stream(&skeleton));
         let (first, rest) = (263 - 126, 263 - 126..);
         assert!(apart(&facing_z[..first], &expected[..first]) > 0.1);
@@ -249,7 +251,7 @@ mod tests {
         spoiled[5][2] = 1e300;
         let error = stream.push(&spoiled).unwrap_err().to_string();
         assert!(error.contains("joint 5"), "{error}");
-        // In the first frame too, of which there is no row yet.
+        // The first frame is checked too, before any row.
         let mut fresh = FeatureStream::new(skeleton.clone(), 0.002).unwrap();
         assert!(fresh.push(&spoiled).is_err());
         fresh.push(clip.frame(0)).unwrap();

@@ -1,6 +1,7 @@
 //! Conversion of published features to metres.
 //!
-//! HumanML3D is in metres, KIT-ML in millimetres: its roots are hundreds of units above the floor.
+//! HumanML3D is in metres, KIT-ML in millimetres. The roots of KIT-ML are hundreds of units above
+//! the floor.
 
 use super::FeatureLayout;
 
@@ -14,14 +15,14 @@ pub(crate) const MILLIMETRE: f64 = 1e-3;
 const HEIGHT: usize = 3;
 
 impl FeatureLayout {
-    /// Whether a channel is a length: root position, joint positions and displacements.
+    /// True for channels that are lengths: root position, joint positions and displacements.
     fn is_length(self, channel: usize) -> bool {
         let [_, ground, height, positions, _, displacements, _] = self.groups();
         let lengths = [ground, height, positions, displacements];
         lengths.iter().any(|group| group.contains(&channel))
     }
 
-    /// Features `[frames, channels]` in metres, converted if the mean height shows millimetres.
+    /// Features `[frames, channels]` in metres, converted if the mean height indicates millimetres.
     pub fn in_metres(self, mut rows: Vec<f32>) -> Vec<f32> {
         let heights = rows.chunks_exact(self.channels()).map(|row| row[HEIGHT]);
         let (frames, sum) = heights.fold((0, 0.0), |(n, sum), y| (n + 1, sum + f64::from(y)));
@@ -84,7 +85,7 @@ mod tests {
         let pairs = far(&read.joints()).into_iter().zip(far(&metres.joints()));
         pairs.for_each(|(a, b)| assert!((a - b).abs() < 1e-4));
 
-        // Normalised by statistics of its own unit, each is the same to a network.
+        // Normalized by statistics in the same unit, both are equal.
         let mut mean: Vec<f64> = published.frame(3).iter().map(|&v| f64::from(v)).collect();
         let mut std: Vec<f64> = (0..layout.channels()).map(|c| 1.0 + c as f64).collect();
         let (large_mean, large_std) = (mean.clone(), std.clone());
@@ -98,7 +99,7 @@ mod tests {
             let after = normalised(metres.frame(7), &mean, &std);
             assert!((before - after).abs() < 1e-3, "channel {channel}");
         }
-        // Once is enough.
+        // A second conversion changes nothing.
         let again = (mean.clone(), std.clone());
         layout.statistics_in_metres(&mut mean, &mut std);
         assert_eq!((mean, std), again);

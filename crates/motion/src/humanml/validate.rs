@@ -6,7 +6,7 @@ use crate::vector::{length, minus};
 /// Tolerance of the length of raw directions.
 const UNIT: f64 = 1e-6;
 
-/// The parent of each joint by the chains, which must reach every joint once.
+/// The parent of each joint. The chains must reach every joint once.
 pub(super) fn parents(
     description: &SkeletonDescription,
 ) -> Result<Vec<Option<usize>>, FeatureError> {
@@ -35,7 +35,7 @@ pub(super) fn parents(
     Ok(parents)
 }
 
-/// Everything but the chains.
+/// Checks everything except the chains.
 pub(super) fn the_rest(description: &SkeletonDescription) -> Result<(), FeatureError> {
     let joints = description.joint_names.len();
     let require =

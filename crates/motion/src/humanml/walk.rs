@@ -1,12 +1,13 @@
-//! A person who walks along a path, by forward kinematics without foot sliding.
+//! A walk along a path without foot sliding.
 //!
-//! The pelvis follows the path. Each foot stands on a print beside the path for three fifths of a
-//! stride and swings to the next print for the rest. Bones keep the skeleton's lengths.
+//! The pelvis follows the path. For three fifths of a stride each foot stands on a footprint beside
+//! the path. For two fifths the foot swings to the next footprint. Bones keep the skeleton's
+//! lengths.
 
 use super::Skeleton;
 use crate::vector::{length, minus, plus};
 
-/// Steps of the path's table, per second.
+/// Steps per second in the path's table.
 const TABLE_RATE: f64 = 200.0;
 /// Seconds of the path before the first and after the last frame.
 const MARGIN_SECONDS: f64 = 3.0;
@@ -19,16 +20,16 @@ type Point = [f64; 3];
 
 /// Speed and turning of a walk.
 pub struct Course {
-    /// Speed in metres per second at a time in seconds.
+    /// Speed in metres per second, by time in seconds.
     pub speed: Box<dyn Fn(f64) -> f64>,
-    /// Yaw in radians, from +z towards +x (to the left), per second, at a time in seconds.
+    /// Turning in radians per second, from +z towards +x (to the left), by time in seconds.
     pub turning: Box<dyn Fn(f64) -> f64>,
 }
 
 /// The course as a table.
 struct Path {
     start: f64,
-    /// x, z, yaw and phase (strides made) at each step.
+    /// x, z, yaw and phase (number of strides) at each step.
     steps: Vec<[f64; 4]>,
 }
 
@@ -41,7 +42,7 @@ impl Path {
             let here = state;
             let time = start + i as f64 / TABLE_RATE;
             let (speed, yaw) = ((course.speed)(time), state[2]);
-            // Faster walking is both longer and more frequent strides.
+            // Faster walking has both longer and more frequent strides.
             let rates = [
                 speed * yaw.sin(),
                 speed * yaw.cos(),
@@ -77,7 +78,7 @@ impl Path {
     }
 }
 
-/// The joints `[frames, 22, 3]` of a walk along `course`, metres; `skeleton` is HumanML3D's.
+/// The joints `[frames, 22, 3]` of a walk along `course`, metres, for HumanML3D's `skeleton`.
 pub fn joints(course: &Course, skeleton: &Skeleton, frames: usize) -> Vec<Point> {
     let fps = skeleton.description().fps;
     let path = Path::new(course, frames as f64 / fps);
@@ -101,7 +102,7 @@ impl<'a> Walker<'a> {
         let offsets = &skeleton.description().rest_offsets[..];
         let speeds = (0..=20).map(|i| (course.speed)(seconds * f64::from(i) / 20.0));
         let fastest = speeds.fold(0.0, f64::max);
-        // Low enough for the rear leg to reach the ground until the end of its stance.
+        // At this height the rear leg reaches the ground until the end of the stance.
         let reach = 0.5 * STANCE * fastest / (0.55 + 0.35 * fastest) + 0.02;
         let leg = 0.985 * (length(offsets[4]) + length(offsets[7]));
         let stretched = (leg * leg - reach * reach).sqrt();
@@ -132,7 +133,7 @@ impl<'a> Walker<'a> {
             [(1.0, [16, 18, 20], 13), (-1.0, [17, 19, 21], 14)]
         {
             place(shoulder, collar, self.offsets[shoulder]);
-            // An arm swings with the opposite leg.
+            // Each arm swings with the opposite leg.
             let swing = -side * self.arm_swing * (std::f64::consts::TAU * phase).cos();
             for (joint, parent, angle) in [(elbow, shoulder, swing), (wrist, elbow, swing + 0.35)] {
                 let hanging = [0.1 * side, -angle.cos(), angle.sin()];
@@ -152,7 +153,7 @@ impl<'a> Walker<'a> {
         pose
     }
 
-    /// Position of an ankle and heading of its foot, at a phase that is `ahead` of the path's.
+    /// Position of an ankle and heading of the foot, at a phase `ahead` of the path's phase.
     fn ankle(&self, path: &Path, phase: f64, ahead: f64, side: f64) -> (Point, f64) {
         let stride = phase.floor();
         let print = |stride: f64| {
@@ -174,7 +175,7 @@ impl<'a> Walker<'a> {
     }
 }
 
-/// Knee and ankle of a leg with these bones from `hip` towards `target`, the knee bent `forward`.
+/// Knee and ankle of a leg with these bones from `hip` towards `target`; the knee bends `forward`.
 fn reach(hip: Point, target: Point, bones: [f64; 2], forward: Point) -> (Point, Point) {
     let [thigh, shank] = bones;
     let to_target = minus(target, hip);
@@ -263,7 +264,7 @@ mod tests {
         let straight = joints(&course(1.0, 0.0), &skeleton, 41);
         let (first, last) = (straight[0], straight[40 * 22]);
         assert!((last[2] - first[2] - 2.0).abs() < 0.02 && (last[0] - first[0]).abs() < 1e-9);
-        // Half a circle of radius 2 / pi to the left.
+        // The path is half a circle to the left, of radius 2 / pi.
         let turning = std::f64::consts::FRAC_PI_2;
         let half = joints(&course(1.0, turning), &skeleton, 41);
         let diameter = distance(half[0], half[40 * 22]);

@@ -1,6 +1,6 @@
 //! Beat alignment of motion and music.
 //!
-//! The score of Li et al. 2021 (AIST++, <https://arxiv.org/abs/2101.08779>), of the root.
+//! The score of Li et al. 2021 (AIST++, <https://arxiv.org/abs/2101.08779>), for the root.
 
 use kinegrad_random::Key;
 
@@ -12,12 +12,13 @@ use crate::{FPS, Phrase};
 pub const BEAT_SIGMA: f64 = 0.05;
 
 /// Times in seconds at which the root is slowest: local minima of the velocity channels' norm,
-/// unsmoothed. A plateau is one beat, at its middle; the ends are none.
+/// unsmoothed. A plateau is one beat, at its middle; the ends are no beats.
 pub fn kinematic_beats(motion: &Phrase) -> Vec<f64> {
     peaks(motion, |speed| -speed)
 }
 
-/// Times in seconds at which the root is fastest, in real dances often on beats (docs/results.md).
+/// Times in seconds at which the root is fastest. Real dances often have them on beats
+/// (docs/results.md).
 pub fn speed_peaks(motion: &Phrase) -> Vec<f64> {
     peaks(motion, |speed| speed)
 }
@@ -31,7 +32,7 @@ fn peaks(motion: &Phrase, of: fn(f64) -> f64) -> Vec<f64> {
 }
 
 /// Mean over the kinematic beats of `exp(-d^2 / (2 sigma^2))`, d the distance in seconds to the
-/// nearest music beat and sigma [`BEAT_SIGMA`]. `None` if either has no beats.
+/// nearest music beat and sigma [`BEAT_SIGMA`]. `None` if motion or music has no beats.
 pub fn beat_alignment(kinematic: &[f64], music: &[f64]) -> Option<f64> {
     if kinematic.is_empty() || music.is_empty() {
         return None;
@@ -56,14 +57,14 @@ pub fn chance_alignment(kinematic: &[f64], music: &[f64], seconds: f64, key: Key
     super::mean(key.uniforms(OFFSETS).into_iter().map(at))
 }
 
-/// Positions, in frames, of local maxima; a plateau counts once, at its middle. None at the ends.
+/// Positions, in frames, of local maxima, except at the ends. A plateau counts once, at its middle.
 fn local_maxima(values: &[f64]) -> Vec<f64> {
     let mut maxima = Vec::new();
     let mut start = 0;
     while start < values.len() {
         let level = values[start];
         let plateau = values[start..].iter().take_while(|value| **value == level);
-        // NaN does not equal itself.
+        // NaN is not equal to itself.
         let end = start + plateau.count().max(1);
         let rises = start > 0 && values[start - 1] < level;
         let falls = values.get(end).is_some_and(|&after| after < level);
@@ -82,7 +83,7 @@ mod tests {
     use super::*;
     use crate::CHANNELS;
 
-    /// A phrase with these speeds, in changing directions.
+    /// A phrase with these speeds and changing directions.
     fn with_speeds(speeds: &[f64]) -> Phrase {
         let mut motion = Phrase::new(vec![0.0; speeds.len() * CHANNELS]).unwrap();
         for (t, &speed) in speeds.iter().enumerate() {
@@ -112,10 +113,10 @@ mod tests {
 
     #[test]
     fn the_score_is_the_mean_over_kinematic_beats() {
-        // One beat exactly on the music, one off by a sigma, one far from all.
+        // One beat on the music, one off by a sigma, one far from all.
         let score = beat_alignment(&[1.0, 2.05, 9.0], &[1.0, 2.0, 3.0]).unwrap();
         assert!((score - (1.0 + (-0.5f64).exp()) / 3.0).abs() < 1e-12);
-        // The nearest one counts, and music beats without a dancer's cost nothing.
+        // The nearest music beat counts; other music beats do not.
         let score = beat_alignment(&[1.0], &[0.9, 1.1, 1.05, 4.0]).unwrap();
         assert!((score - (-0.5f64).exp()).abs() < 1e-12);
         assert_eq!(beat_alignment(&[], &[1.0]), None);
@@ -130,11 +131,11 @@ mod tests {
         let music: Vec<f64> = (0..16).map(|beat| 0.5 * f64::from(beat)).collect();
         let danced: Vec<f64> = (0..8).map(f64::from).collect();
         assert_eq!(beat_alignment(&danced, &music), Some(1.0));
-        // A bell of width 0.05 s covers 0.125 s, a quarter of each half second.
+        // A bell with width 0.05 s covers 0.125 s, a quarter of each half second.
         let chance = chance_alignment(&danced, &music, 8.0, key).unwrap();
         assert!((0.1..0.4).contains(&chance), "{chance}");
         assert_eq!(chance_alignment(&danced, &music, 8.0, key), Some(chance));
-        // Wherever they lie to begin with.
+        // The chance level ignores the initial offset.
         let late: Vec<f64> = danced.iter().map(|beat| beat + 0.25).collect();
         let score = beat_alignment(&late, &music).unwrap();
         assert!(score < 1e-4, "{score}");

@@ -21,11 +21,11 @@ pub struct Estimate {
 
 impl Estimate {
     /// The mean of the values of all `groups` with its bootstrap percentile interval (Efron and
-    /// Tibshirani 1993, sections 8 and 13): 2000 times, groups are resampled with replacement, and
-    /// then the values of each. Values of one group may be dependent, such as phrases of one song.
-    /// Estimates over the same groups and `seed` use the same resamples.
+    /// Tibshirani 1993, sections 8 and 13): Groups are resampled with replacement 2000 times, and
+    /// then the values of each sampled group. Values of one group may be dependent, such as phrases
+    /// of one song. Estimates with the same groups and `seed` use the same resamples.
     ///
-    /// `None` of no values, or if one is not finite.
+    /// `None` without values, or if a value is not finite.
     pub fn of(groups: &[Vec<f64>], seed: u64) -> Option<Self> {
         let groups = groups.iter().filter(|group| !group.is_empty());
         let groups: Vec<&Vec<f64>> = groups.collect();
@@ -97,7 +97,7 @@ mod tests {
                 found.low <= 0.0 && 0.0 <= found.high
             })
             .count();
-        // 95 % of 60 are 57; wider intervals would cover it too.
+        // 95 % of 60 are 57; wider intervals would also pass.
         assert!((50..=60).contains(&covered), "{covered}");
         let groups: Vec<_> = normals(0, 40)
             .into_iter()

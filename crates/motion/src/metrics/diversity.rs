@@ -5,7 +5,7 @@ use kinegrad_random::{Key, Purpose};
 use super::{TRAJECTORY, mean};
 use crate::{Phrase, Statistics};
 
-/// Root mean square difference of the common frames in [`TRAJECTORY`], in training deviations.
+/// Root mean square difference in [`TRAJECTORY`] over the common frames, in training deviations.
 pub fn trajectory_distance(a: &Phrase, b: &Phrase, training: &Statistics) -> f64 {
     let frames = a.frames().min(b.frames());
     let mut sum = 0.0;
@@ -19,7 +19,7 @@ pub fn trajectory_distance(a: &Phrase, b: &Phrase, training: &Statistics) -> f64
     (sum / (frames * TRAJECTORY.len()) as f64).sqrt()
 }
 
-/// Mean [`trajectory_distance`] over all pairs; `None` without pairs or if it is not finite.
+/// Mean [`trajectory_distance`] over all pairs; `None` without pairs or if the mean is not finite.
 pub fn diversity(motions: &[&Phrase], training: &Statistics) -> Option<f64> {
     mean(motions.iter().enumerate().flat_map(|(index, a)| {
         let others = motions[index + 1..].iter();
@@ -28,7 +28,7 @@ pub fn diversity(motions: &[&Phrase], training: &Statistics) -> Option<f64> {
 }
 
 /// Mean Euclidean distance of feature vectors `[n, features]` over all pairs, or over `pairs`
-/// random ones if there are more. `None` without pairs or if it is not finite.
+/// random pairs if that is fewer. `None` without pairs or if the mean is not finite.
 pub fn feature_diversity(features: &[Vec<f64>], pairs: usize, seed: u64) -> Option<f64> {
     let count = features.len();
     if count < 2 || pairs == 0 {
@@ -41,7 +41,7 @@ pub fn feature_diversity(features: &[Vec<f64>], pairs: usize, seed: u64) -> Opti
         let key = Key::new(seed, Purpose::Pairs);
         let firsts = key.at(0).integers(pairs, count);
         let seconds = key.at(1).integers(pairs, count - 1);
-        // The second is sampled from all but the first.
+        // The second index is sampled from all except the first.
         let others = |(first, second)| (first, second + usize::from(second >= first));
         firsts.into_iter().zip(seconds).map(others).collect()
     };

@@ -6,7 +6,7 @@ use super::TRAJECTORY;
 use crate::moments::mean_and_deviation;
 use crate::{Phrase, Statistics};
 
-/// 9 means, then 9 deviations of [`TRAJECTORY`] over frames, in training standard deviations.
+/// 9 means, then 9 deviations over frames of [`TRAJECTORY`], in training standard deviations.
 pub fn trajectory_features(motion: &Phrase, training: &Statistics) -> Vec<f64> {
     let moments = TRAJECTORY.map(|channel| {
         let values = motion.column(channel);
@@ -59,7 +59,7 @@ impl FeatureMoments {
 pub fn frechet_distance(a: &FeatureMoments, b: &FeatureMoments) -> f64 {
     let root = square_root(&a.covariance);
     let mut product = &root * &b.covariance * &root;
-    // Rounding leaves it a little unsymmetric.
+    // Rounding makes the matrix slightly asymmetric.
     product = (&product + product.transpose()) / 2.0;
     let eigenvalues = SymmetricEigen::new(product).eigenvalues;
     let roots = eigenvalues
@@ -67,7 +67,7 @@ pub fn frechet_distance(a: &FeatureMoments, b: &FeatureMoments) -> f64 {
         .map(|eigenvalue| eigenvalue.max(0.0).sqrt());
     let cross: f64 = roots.sum();
     let spread = a.covariance.trace() + b.covariance.trace() - 2.0 * cross;
-    // Rounding may leave the distance of equal sets below 0.
+    // Rounding may make the distance of equal sets negative.
     ((&a.mean - &b.mean).norm_squared() + spread).max(0.0)
 }
 
@@ -168,7 +168,7 @@ mod tests {
             // The root of an eigenvalue that should be 0 is about 1e-8.
             prop_assert!((there - frechet_distance(&b, &a)).abs() < 1e-5);
             prop_assert!(frechet_distance(&a, &a) < 1e-5);
-            // The same vectors moved along one axis.
+            // The second set is moved along one axis.
             let moved: Vec<_> = features
                 .into_iter()
                 .map(|mut vector| {

@@ -16,7 +16,7 @@ use crate::humanml::Joints;
 pub struct GoalSample<'a> {
     /// The goal.
     pub goal: &'a Goal,
-    /// Ground positions `[x, z]` of the root, metres, for at least each frame of the goal.
+    /// Ground positions `[x, z]` of the root, metres, at least for all frames of the goal.
     pub ground: &'a [[f64; 2]],
     /// The body, if known.
     pub joints: Option<&'a Joints>,
@@ -38,8 +38,8 @@ pub fn inside_obstacles(goal: &Goal, ground: &[[f64; 2]]) -> usize {
     ground[..goal.frames].iter().filter(inside).count()
 }
 
-/// Goal errors of generated motions, and their quality. A metric without data or with
-/// values that are not finite is `None`. The thresholds are those of the field.
+/// Goal errors of generated motions, and their quality. A metric without data or with values that
+/// are not finite is `None`. The thresholds are standard in the field.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct GoalReport {
@@ -47,15 +47,15 @@ pub struct GoalReport {
     pub samples: usize,
     /// Number of target positions.
     pub keyframes: usize,
-    /// Share of the motions with keyframes that miss one by more than 20 cm.
+    /// Share of the motions with keyframes that miss a keyframe by more than 20 cm.
     pub trajectory_error_20cm: Option<f64>,
-    /// Share of the motions with keyframes that miss one by more than 50 cm.
+    /// Share of the motions with keyframes that miss a keyframe by more than 50 cm.
     pub trajectory_error_50cm: Option<f64>,
     /// Share of all keyframes that are missed by more than 20 cm.
     pub location_error_20cm: Option<f64>,
     /// Share of all keyframes that are missed by more than 50 cm.
     pub location_error_50cm: Option<f64>,
-    /// Mean distance from all motions' keyframes, metres.
+    /// Mean distance from the keyframes of all motions, metres.
     pub average_error: Option<f64>,
     /// Mean over motions of [`skating_ratio`], as published.
     pub foot_skating: Option<f64>,
@@ -64,7 +64,7 @@ pub struct GoalReport {
     pub foot_sliding: Option<f64>,
     /// Mean over motions of [`mean_jerk`], metres per second cubed.
     pub jerk: Option<f64>,
-    /// Share of the frames of all motions with obstacles in which the root is inside one.
+    /// Share of the frames, in motions with obstacles, with the root inside an obstacle.
     pub inside_obstacles: Option<f64>,
     /// [`feature_diversity`], from [`with_features`](Self::with_features).
     pub diversity: Option<f64>,
@@ -185,7 +185,7 @@ mod tests {
     #[test]
     fn misses_count_by_motion_and_by_key_frame() {
         let still = [[0.0; 2]; 4];
-        // Missed by 0.1 m and 0.5 m exactly; by 0.3 m; by 0.6, 0 and 0 m.
+        // The misses are 0.1 m and 0.5 m exactly; 0.3 m; 0.6, 0 and 0 m.
         let goals = [
             goal(4, &[(3, 0.3, 0.4), (0, 0.1, 0.0)]),
             goal(2, &[(1, 0.0, -0.3)]),
@@ -238,7 +238,7 @@ mod tests {
     #[test]
     fn bodies_and_features_enter_the_report() {
         let goal = goal(4, &[(0, 0.0, 0.0)]);
-        // One joint that slides by 1 m in each frame, at 2 frames per second.
+        // One joint slides by 1 m per frame, at 2 frames per second.
         let track: Vec<_> = (0..4).map(|t| [f64::from(t), 0.0, 0.0]).collect();
         let track = Joints::new(track, 1).unwrap();
         let joints = Some(&track);

@@ -3,24 +3,25 @@
 use crate::derivatives::{jerk_of, mean_norm};
 use crate::humanml::Joints;
 
-/// A foot below this height stands on the ground, metres.
+/// Height below which a foot stands on the ground, metres.
 pub const SKATING_HEIGHT: f64 = 0.05;
 
-/// Faster standing feet slide, metres per second: 2.5 cm a frame at 20 frames per second.
+/// Speed above which a standing foot slides, metres per second: 2.5 cm per frame at 20 frames per
+/// second.
 pub const SKATING_SPEED: f64 = 0.5;
 
 /// Share of the steps between frames, at `fps` frames per second, in which one of the `feet` (toe
-/// joints) slides: below [`SKATING_HEIGHT`] in both frames and horizontally faster than
-/// [`SKATING_SPEED`]. `None` for fewer than two frames.
+/// joints) slides. A sliding foot is below [`SKATING_HEIGHT`] in both frames and horizontally
+/// faster than [`SKATING_SPEED`]. `None` for fewer than two frames.
 pub fn sliding_ratio(joints: &Joints, fps: f64, feet: &[usize]) -> Option<f64> {
     share_of_steps(joints, fps, feet, |step| {
         step.contact && step.speed > SKATING_SPEED
     })
 }
 
-/// Foot skating as in the published evaluation: as [`sliding_ratio`], but the mean speed over the
-/// step and two steps on either side must exceed [`SKATING_SPEED`] too; steps beyond the ends count
-/// as zero (docs/sources.md, section 4.13). `None` for fewer than two frames.
+/// Foot skating of the published evaluation (docs/sources.md, section 4.13): a [`sliding_ratio`] in
+/// which the mean speed over five steps must also exceed [`SKATING_SPEED`]. Steps beyond the ends
+/// count as zero. `None` for fewer than two frames.
 pub fn skating_ratio(joints: &Joints, fps: f64, feet: &[usize]) -> Option<f64> {
     share_of_steps(joints, fps, feet, |step| {
         step.contact && step.speed > SKATING_SPEED && step.mean_speed > SKATING_SPEED
@@ -44,7 +45,7 @@ fn share_of_steps(
 /// A step of a foot between frames.
 #[derive(Clone, Copy, Debug)]
 pub struct SkatingStep {
-    /// Whether the foot is on the ground in both frames.
+    /// True if the foot is on the ground in both frames.
     pub contact: bool,
     /// Horizontal speed, metres per second.
     pub speed: f64,
@@ -68,7 +69,8 @@ pub fn skating_steps(joints: &Joints, fps: f64, foot: usize) -> Vec<SkatingStep>
     speeds.iter().enumerate().map(step).collect()
 }
 
-/// Mean jerk norm of joints and frames, metres per second cubed; `None` below four frames.
+/// Mean jerk norm over joints and frames, metres per second cubed; `None` for fewer than four
+/// frames.
 pub fn mean_jerk(joints: &Joints, fps: f64) -> Option<f64> {
     let jerk = |joint: usize| mean_norm(&jerk_of(&joints.track(joint), fps));
     let sum = || (0..joints.joints()).map(jerk).sum::<f64>();
@@ -81,15 +83,15 @@ mod tests {
 
     #[test]
     fn a_low_foot_that_moves_slides() {
-        // Joint 0 is high above; the feet are joints 1 and 2. Rows are frames at 20 per second.
+        // Joint 0 is high; the feet are joints 1 and 2. Rows are frames at 20 per second.
         let high = [0.0, 1.0, 0.0];
         let positions = [
             [high, [0.0, 0.01, 0.0], [0.0, 0.20, 0.0]],
             // Foot 1 slides by 3 cm.
             [high, [0.018, 0.04, 0.024], [0.0, 0.06, 0.0]],
-            // It slides by 2.4 cm only; foot 2 was high in the frame before.
+            // Foot 1 slides by only 2.4 cm; foot 2 was high in the previous frame.
             [high, [0.018, 0.04, 0.048], [1.0, 0.04, 0.0]],
-            // It leaves the ground; foot 2 moves up and down only.
+            // Foot 1 leaves the ground; foot 2 moves only vertically.
             [high, [0.5, 0.05, 0.048], [1.0, 0.0, 0.0]],
             [high, [0.9, 0.3, 0.048], [1.0, 0.04, -0.1]],
         ];
@@ -99,20 +101,20 @@ mod tests {
         };
         assert_eq!(ratio(20.0, &[1, 2]), Some(0.5));
         assert_eq!(ratio(20.0, &[1]), Some(0.25));
-        // In half the time 2.4 cm are too many, too.
+        // In half the time, 2.4 cm are a slide too.
         assert_eq!(ratio(40.0, &[1]), Some(0.5));
         assert_eq!(ratio(20.0, &[0]), Some(0.0));
         assert_eq!(ratio(20.0, &[]), Some(0.0));
         let one = Joints::new(positions[0].to_vec(), 3).unwrap();
         assert_eq!(sliding_ratio(&one, 20.0, &[1]), None);
-        // Of positions that are not finite there are no joints.
+        // Positions that are not finite are not valid joints.
         let nan = [[0.0, f64::NAN, 0.0], [0.0; 3]];
         assert!(Joints::new(nan.to_vec(), 1).is_err());
     }
 
     #[test]
     fn a_single_quick_step_slides_and_does_not_skate() {
-        // One joint on the ground; half a metre a second is 2.5 cm a frame.
+        // One joint is on the ground; 0.5 m/s is 2.5 cm per frame.
         let ratio = |steps: &[f64]| {
             let mut x = 0.0;
             let mut places = vec![[0.0; 3]];
@@ -129,9 +131,10 @@ mod tests {
         let quick = [0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 0.0];
         assert_eq!(ratio(&quick), [Some(0.0), Some(1.0 / 8.0)]);
         let slide = [0.0, 0.0, 0.05, 0.05, 0.05, 0.05, 0.05, 0.0];
-        // The mean of the second and of the last but one is 4 cm, of the outer ones 3 cm.
+        // The five-step mean is 4 cm at the second and second-last sliding step, 3 cm at the outer
+        // steps.
         assert_eq!(ratio(&slide), [Some(5.0 / 8.0); 2]);
-        // A slow step does not skate itself; beyond the ends everything is still.
+        // A slow step does not skate, and steps beyond the ends are zero.
         let slide = [0.05, 0.05, 0.01, 0.05, 0.05];
         assert_eq!(ratio(&slide), [Some(2.0 / 5.0), Some(4.0 / 5.0)]);
         assert_eq!(ratio(&[]), [None; 2]);
@@ -139,7 +142,8 @@ mod tests {
 
     #[test]
     fn jerk_is_the_third_derivative() {
-        // x = t^3 with t in seconds has a jerk of 6, z = 0.5 t^2 none; differences are exact.
+        // x = t^3 with t in seconds has a jerk of 6, z = 0.5 t^2 a jerk of 0. Differences are
+        // exact.
         let fps = 4.0;
         let body = |frame: usize| {
             let t = frame as f64 / fps;

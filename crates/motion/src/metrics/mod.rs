@@ -1,8 +1,8 @@
-//! Metrics of sets of phrases: variety, distance to real motion, agreement with the music.
+//! Metrics of sets of phrases: variety, distance from real motion, agreement with the music.
 //!
 //! Variety and distance use the root's [`TRAJECTORY`] in training standard deviations. A metric
-//! without data or with values that are not finite is `None`. [`GoalReport`] measures goals,
-//! [`text_motion`] the match of motions and captions.
+//! without data or with values that are not finite is `None`. [`GoalReport`] has metrics of goals,
+//! [`text_motion`] of motions and captions.
 
 mod beats;
 mod bootstrap;
@@ -30,7 +30,7 @@ pub use variety::{mean_pair_distance, multimodality, replication_interval, traje
 
 use std::ops::Range;
 
-/// The mean; `None` of nothing, and where a value is missing or not finite.
+/// The mean; `None` without values, or if a value is missing or not finite.
 pub fn mean(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
     let values: Vec<f64> = values.collect::<Option<_>>()?;
     let mean = values.iter().sum::<f64>() / values.len() as f64;

@@ -2,9 +2,9 @@
 
 use crate::circular;
 
-/// Mean [circular distance](circular::distance) of two bar phases over frames, in cycles of which a
-/// bar has `cycles_per_bar`: 1 for bars, the number of beats of a bar for beats. From 0 to 0.5,
-/// 0.25 by chance. NaN of no frames or values that are not finite.
+/// Mean [circular distance](circular::distance) of two bar phases over frames, in cycles. A bar has
+/// `cycles_per_bar` cycles: 1 for bars, the number of beats for beats. Range 0 to 0.5, chance level
+/// 0.25. NaN without frames or for values that are not finite.
 pub fn phase_error(found: &[f64], expected: &[f64], cycles_per_bar: f64) -> f64 {
     assert_eq!(found.len(), expected.len(), "one phase a frame");
     let distance =
@@ -59,7 +59,7 @@ mod tests {
             let found = phase_error(&a, &b, cycles);
             assert!((found - 0.25).abs() < 0.01, "{found}");
         }
-        // One that stands is no better.
+        // A constant phase is at the chance level too.
         let found = phase_error(&vec![0.5; 1000], &phase(0.0, 1000), 4.0);
         assert!((found - 0.25).abs() < 0.01, "{found}");
     }

@@ -7,11 +7,11 @@ use crate::humanml::Joints;
 /// Published mean jerk of HumanML3D at 20 frames per second, metres per frame cubed.
 pub const HUMANML3D_JERK: f64 = 0.033_031_363;
 
-/// The same of BABEL at 30 frames per second.
+/// Published mean jerk of BABEL at 30 frames per second, metres per frame cubed.
 pub const BABEL_JERK: f64 = 0.016_383_045;
 
-/// Jerk of each frame, `[frames - 3]`, metres per frame cubed: the largest sum over joints of
-/// absolute components of the third difference. It depends on the heading.
+/// Jerk of each frame, `[frames - 3]`, metres per frame cubed: the largest L1 norm of a joint's
+/// third difference. This norm depends on the heading.
 pub fn jerk_of_frames(joints: &Joints) -> Vec<f64> {
     let frames = joints.frames().saturating_sub(3);
     let of_joint = |t: usize, joint: usize| -> f64 {
@@ -38,7 +38,7 @@ pub struct TransitionJerk {
 
 impl TransitionJerk {
     /// Measures curves of [`jerk_of_frames`], each around one transition. Missing frames of shorter
-    /// curves count as 0, as in the published program. `None` of no frames.
+    /// curves count as 0, as in the published program. `None` without frames.
     pub fn of(curves: &[Vec<f64>], real_jerk: f64) -> Option<Self> {
         let frames = curves.iter().map(Vec::len).max()?;
         let mean = |t: usize| {
@@ -71,7 +71,7 @@ mod tests {
         assert!(constant.iter().all(|jerk| *jerk < 1e-12));
         let jumping = jerk_of_frames(&joints(0.3));
         let found = TransitionJerk::of(&[jumping.clone(), constant.clone()], 0.0).unwrap();
-        // Differences of a step are 1, -2, 1.
+        // The third differences of a step are 1, -2, 1.
         assert!((found.peak - 0.3).abs() < 1e-9, "{}", found.peak);
         assert!((found.area - 0.6).abs() < 1e-9, "{}", found.area);
         let real = TransitionJerk::of(&[constant], 0.01).unwrap();

@@ -7,7 +7,7 @@ use super::mean;
 use crate::moments::mean_and_deviation;
 
 /// Trajectory diversity (GMD): the root mean square distance of the ground positions of repetitions
-/// from their mean, averaged over conditions. `None` if it is not finite.
+/// from their mean, averaged over conditions. `None` if the result is not finite.
 ///
 /// `paths[condition][repetition]` are positions `[x, z]` in metres.
 pub fn trajectory_diversity(paths: &[Vec<Vec<[f64; 2]>>]) -> Option<f64> {
@@ -28,8 +28,9 @@ pub fn trajectory_diversity(paths: &[Vec<Vec<[f64; 2]>>]) -> Option<f64> {
 }
 
 /// Multimodality: the mean Euclidean distance between the embeddings of two motions of one
-/// condition, over `pairs` random pairs, the same for all conditions. Firsts are distinct, and so
-/// are seconds, as published. `None` of fewer repetitions than pairs, or if it is not finite.
+/// condition, over `pairs` random pairs. All conditions use the same pairs. As published, first
+/// indices are distinct, and second indices are distinct. `None` for fewer repetitions than pairs,
+/// or a mean that is not finite.
 ///
 /// `embeddings[condition][repetition]` are vectors of one length.
 pub fn multimodality(embeddings: &[Vec<Vec<f64>>], pairs: usize, seed: u64) -> Option<f64> {
@@ -59,7 +60,7 @@ pub fn mean_pair_distance(
 }
 
 /// Half the width of the published 95 % interval of the mean of replications: 1.96 population
-/// standard deviations divided by the square root of their number. NaN of nothing.
+/// standard deviations divided by the square root of their number. NaN without replications.
 pub fn replication_interval(values: &[f64]) -> f64 {
     let (_, deviation) = mean_and_deviation(values.iter().copied());
     1.96 * deviation / (values.len() as f64).sqrt()
@@ -72,7 +73,7 @@ mod tests {
     #[test]
     fn paths_that_part_are_diverse() {
         let along = |x: f64, frames: usize| vec![[x, 1.0]; frames];
-        // 1 m to either side of the mean; three alike.
+        // Paths 1 m to either side of the mean; three equal paths.
         let paths = [
             vec![along(-1.0, 5), along(1.0, 5)],
             vec![along(4.0, 3), along(4.0, 3), along(4.0, 3)],
@@ -96,7 +97,7 @@ mod tests {
         assert!((0..9).any(|seed| wide(seed) != wide(1)));
         assert_eq!(multimodality(&far, 5, 0), None);
         assert_eq!(multimodality(&[], 1, 0), None);
-        // Stated firsts and seconds.
+        // Given first and second indices.
         let found = mean_pair_distance(&[at(0.0, 2.0), at(50.0, 1.0)], &[0, 3], &[1, 3]);
         assert_eq!(found, Some((2.0 + 0.0 + 1.0 + 0.0) / 4.0));
     }

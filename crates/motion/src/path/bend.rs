@@ -19,7 +19,7 @@ const WAVES: [f64; 2] = [2.0, 6.0];
 /// Allowed distance of a locked foot from its contact position, metres.
 const MISSED: f64 = 0.05;
 
-/// A bend of a trajectory: its direction is rotated by an angle that depends on the arc length.
+/// A bend of a trajectory: the direction is rotated by an angle that depends on the arc length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bend {
     /// Overall curvature, radians per metre.
@@ -53,8 +53,8 @@ impl Bend {
         self.curvature * metres + self.waves.map(wave).iter().sum::<f64>()
     }
 
-    /// `joints` at `fps` frames per second on the bent trajectory: each step and the body are
-    /// rotated by the angle at its arc length, which ignores sway and standing.
+    /// `joints` at `fps` frames per second on the bent trajectory. Step and body are rotated by the
+    /// angle at their arc length, which ignores sway and standing.
     pub fn apply(&self, joints: &Joints, fps: f64) -> Joints {
         let track = joints.track(0).into_iter();
         let track: Vec<[f64; 2]> = track.map(|[x, _, z]| [x, z]).collect();
@@ -77,7 +77,8 @@ impl Bend {
         placed(joints, &points, &turns).expect("a point and a turn for each frame")
     }
 
-    /// The relative features of a clip bent with locked feet; unchanged if the legs do not reach.
+    /// The relative features of a clip bent with locked feet. Too short legs leave the clip
+    /// unchanged.
     ///
     /// # Errors
     /// [`FeatureError::TooFewFrames`]; [`FeatureError::LengthMismatch`] for another skeleton.
@@ -92,7 +93,7 @@ impl Bend {
         if locked.missed > MISSED {
             return Ok(features.to_relative());
         }
-        // Features begin at the origin; the floor is that of the clip.
+        // Features begin at the origin and keep the clip's floor.
         let joints = extrapolated(&locked.joints)?;
         let moved = canonicalize(skeleton, &joints)?;
         let floor = joints.frame(0)[0][1] - moved.frame(0)[0][1];
@@ -195,7 +196,7 @@ mod tests {
     fn a_body_that_stands_and_sways_is_not_turned_and_floors_stay() {
         let (joints, skeleton) = straight(60);
         let still = joints.frame(7).to_vec();
-        // Half a metre above the floor, swaying by a centimetre.
+        // The body is half a metre above the floor and sways by a centimetre.
         let places = (0..60).flat_map(|t| {
             let (a, b) = (
                 0.01 * (0.9 * f64::from(t)).sin(),

@@ -8,7 +8,7 @@ use super::{Polyline, STILL, between};
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ArcLengthMode {
-    /// The full path, in the proportions of the trajectory; evenly for a standing motion.
+    /// The full path, in the trajectory's proportions. A standing motion advances evenly.
     #[default]
     Stretch,
     /// The motion's own arc length and speed, until the path or the motion ends.
@@ -25,7 +25,8 @@ pub struct Course {
 }
 
 impl Course {
-    /// The course along `path` of a root at `track`; [`ArcLengthMode::Own`] may end it earlier.
+    /// The course along `path` of a root at `track`. With [`ArcLengthMode::Own`] the course may end
+    /// earlier.
     pub fn of_motion(path: &Polyline, track: &[[f64; 2]], along: ArcLengthMode) -> Self {
         let walked = walked(track);
         let total = walked.last().copied().unwrap_or(0.0);
@@ -48,8 +49,8 @@ impl Course {
         Self::at(path, metres)
     }
 
-    /// The course of `frames` frames along `path` at `speed` metres per second, standing at its
-    /// end; without a speed, evenly from end to end.
+    /// The course of `frames` frames along `path` at `speed` metres per second, standing at the
+    /// end. Without a speed, the course covers the path evenly.
     pub fn at_speed(path: &Polyline, frames: usize, speed: Option<f64>, fps: f64) -> Self {
         let length = path.length();
         let step = match speed {
@@ -60,7 +61,7 @@ impl Course {
         Self::at(path, metres.collect())
     }
 
-    /// The course through `points`, one for each frame.
+    /// The course through `points`, one point per frame.
     pub fn through(points: Vec<[f64; 2]>) -> Self {
         Self {
             metres: walked(&points),
@@ -110,7 +111,7 @@ mod tests {
         assert_eq!(stretched.points[3], [0.0, 6.0]);
         let own = Course::of_motion(&line(8.0), &track, ArcLengthMode::Own);
         assert_eq!(own.metres, [0.0, 1.0, 1.0, 3.0, 4.0]);
-        // A path that is shorter ends it.
+        // A shorter path ends the course.
         let own = Course::of_motion(&line(2.0), &track, ArcLengthMode::Own);
         assert_eq!(own.metres, [0.0, 1.0, 1.0]);
         let standing = [[1.0, 1.0]; 3];

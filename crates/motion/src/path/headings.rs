@@ -12,14 +12,15 @@ pub struct PathFeatures {
     pub position: [f64; 2],
     /// Step per frame: central differences, one-sided at both ends.
     pub step: [f64; 2],
-    /// Direction of the step, radians, -pi to pi; of frames that hardly move, the last one or 0.
+    /// Direction of the step, radians, -pi to pi. Frames that hardly move repeat the last
+    /// direction, or have 0.
     pub heading: f64,
     /// Change of the heading per metre; 0 in frames that hardly move.
     pub curvature: f64,
 }
 
 impl PathFeatures {
-    /// The features of a track, a position for each frame.
+    /// The features of a track with one position per frame.
     pub fn of(track: &[[f64; 2]]) -> Vec<Self> {
         let steps = gradient(track);
         let seconds = gradient(&steps);
@@ -46,7 +47,7 @@ pub fn headings_of(track: &[[f64; 2]]) -> Vec<f64> {
     headings_above(&gradient(track), STILL)
 }
 
-/// Headings of a walk without its sway; steps below `least` metres repeat the one before.
+/// Headings of a walk without sway. Steps below `least` metres repeat the previous heading.
 pub fn headings_of_gait(track: &[[f64; 2]], least: f64) -> Vec<f64> {
     headings_above(&gradient(&without_sway(track)), least.max(STILL))
 }
@@ -59,7 +60,7 @@ pub(super) fn without_sway(track: &[[f64; 2]]) -> Vec<[f64; 2]> {
 /// Smoothing window for a gait, frames: about one step.
 const GAIT_WINDOW: usize = 13;
 
-/// Directions of steps; those shorter than `least` repeat the one before.
+/// Directions of steps. Steps shorter than `least` repeat the previous direction.
 fn headings_above(steps: &[[f64; 2]], least: f64) -> Vec<f64> {
     let moving = |[dx, dz]: &[f64; 2]| dx.hypot(*dz) >= least;
     let heading = |[dx, dz]: &[f64; 2]| dx.atan2(*dz);
@@ -84,7 +85,7 @@ fn gradient(track: &[[f64; 2]]) -> Vec<[f64; 2]> {
     (0..track.len()).map(difference).collect()
 }
 
-/// Angles without jumps: each is within half a turn of the one before.
+/// Angles without jumps: each is within half a turn of the previous angle.
 pub fn unwrapped(angles: &[f64]) -> Vec<f64> {
     let mut last: Option<f64> = None;
     let unwrap = |angle: &f64| {
@@ -116,7 +117,7 @@ mod tests {
             .collect();
         let features = PathFeatures::of(&track);
         for frame in &features[2..58] {
-            // Clockwise seen from above +y down to x and z: the heading grows.
+            // The circle turns from +z towards +x: the heading grows.
             assert!(
                 (frame.curvature - 1.0 / 3.0).abs() < 1e-3,
                 "{}",

@@ -28,7 +28,7 @@ impl PathLossConfig {
     }
 }
 
-/// The distance of a root from its path, with p the ground position and psi the heading:
+/// The loss of a root at ground position p with heading psi:
 ///
 /// ```text
 /// L = sum_t |p - path|^2 + heading sum_t (1 - cos(psi - psi_path))
@@ -39,7 +39,7 @@ impl PathLossConfig {
 pub struct PathLoss {
     /// Weights.
     pub config: PathLossConfig,
-    /// Positions of the path, `[frames]`; later frames are free.
+    /// Positions of the path, `[frames]`. Later frames are free.
     pub points: Vec<[f64; 2]>,
     /// Headings of the path, `[frames]`, radians.
     pub headings: Vec<f64>,
@@ -47,7 +47,7 @@ pub struct PathLoss {
 
 impl PathLoss {
     /// The loss of a clip's first three channels (rotation, x, z, in radians and metres, in
-    /// representation `root`) and its gradient. With a relative root the last row moves nothing.
+    /// representation `root`), and the gradient. With a relative root the last row has no effect.
     pub fn evaluate(&self, root: Root, channels: &[[f64; 3]]) -> (f64, Vec<[f64; 3]>) {
         assert_eq!(self.points.len(), self.headings.len(), "a heading a point");
         let enough = channels.len() >= self.points.len();
@@ -82,12 +82,12 @@ impl PathLoss {
     }
 }
 
-/// The gradient with respect to the rotation channel, from that with respect to headings.
+/// The gradient with respect to the rotation channel, from the gradient with respect to headings.
 fn by_rotation(root: Root, by_heading: &[f64]) -> Vec<f64> {
     match root {
         Root::Absolute => by_heading.iter().map(|slope| -2.0 * slope).collect(),
         Root::Relative => {
-            // A change rotates all later frames.
+            // A change of rotation acts on all later frames.
             let mut behind = 0.0;
             let mut slopes = vec![0.0; by_heading.len()];
             for (into, slope) in slopes.iter_mut().zip(by_heading).rev() {
@@ -100,7 +100,7 @@ fn by_rotation(root: Root, by_heading: &[f64]) -> Vec<f64> {
 }
 
 /// The first three channels (rotation, x, z) of a root at `points` with `headings`. With a relative
-/// root the path begins at the origin, facing +z, and the last row repeats the change before.
+/// root the path begins at the origin, facing +z. The last row repeats the previous change.
 pub fn root_channels(points: &[[f64; 2]], headings: &[f64], root: Root) -> Vec<[f64; 3]> {
     assert_eq!(points.len(), headings.len(), "a heading for each point");
     let both = points.iter().zip(headings);
@@ -162,7 +162,7 @@ mod tests {
             for root in [Root::Absolute, Root::Relative] {
                 let rows = root_channels(&loss.points, &loss.headings, root);
                 if root == Root::Relative {
-                    // Seen from its start.
+                    // The path is relative to its start.
                     let rows: Vec<[f64; 4]> = rows.iter().map(|[a, x, z]| [*a, *x, *z, 0.0]).collect();
                     let positions = root.positions(&rows);
                     prop_assert_eq!(positions[0], [0.0; 3]);

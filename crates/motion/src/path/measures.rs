@@ -1,4 +1,4 @@
-//! Measures of how a motion follows a path.
+//! Measures of path following.
 
 use serde::{Deserialize, Serialize};
 
@@ -15,13 +15,13 @@ use crate::moments::mean;
 pub struct PathReport {
     /// Mean distance of the root from the nearest point of the path, metres.
     pub mean_distance: f64,
-    /// The largest one.
+    /// Largest distance of the root from the path, metres.
     pub largest_distance: f64,
     /// Mean distance of the root from its position on the course, metres.
     pub mean_error: f64,
-    /// Mean angle between body and path, degrees; this and the following need a body.
+    /// Mean angle between body and path, degrees. All following measures need a body too.
     pub heading_error: Option<f64>,
-    /// Mean horizontal step of ankles and toes that are low and slow, metres.
+    /// Mean horizontal step of low and slow ankles and toes, metres.
     pub slide: Option<f64>,
     /// [`skating_ratio`] of the toes; none for a single frame.
     pub foot_skating: Option<f64>,
@@ -33,7 +33,7 @@ impl PathReport {
     /// Measures a motion against a path and its course.
     ///
     /// # Errors
-    /// [`FeatureError::LengthMismatch`] for another skeleton or other frames than the course.
+    /// [`FeatureError::LengthMismatch`] for another skeleton or a course of another length.
     pub fn of(
         joints: &Joints,
         skeleton: &Skeleton,
@@ -57,7 +57,7 @@ impl PathReport {
         })
     }
 
-    /// Measures a root without a body at `track`, one position for each frame of the course.
+    /// Measures a root without a body at `track`, one position per frame of the course.
     ///
     /// # Panics
     /// Panics without a frame.
@@ -75,8 +75,8 @@ impl PathReport {
     }
 }
 
-/// Mean horizontal step of `feet` in frames in which they are low and slow, above the lowest joint
-/// of the clip (docs/sources.md, section 7, "Edge Considerations"). Zero without such a frame.
+/// Mean horizontal step of `feet` that are slow and near the clip's lowest joint in height
+/// (docs/sources.md, section 7, "Edge Considerations"). Zero without such a frame.
 pub fn slide(joints: &Joints, feet: &[usize]) -> f64 {
     let heights = joints.as_slice().iter().map(|place| place[1]);
     let floor = heights.fold(f64::INFINITY, f64::min);
@@ -140,7 +140,7 @@ mod tests {
         assert!(on.heading_error.unwrap() < 8.0, "{on:?}");
         let beside = report(&ahead(0.3, false), 1.0);
         assert!((beside.mean_distance - 0.3).abs() < 0.05, "{beside:?}");
-        // On the path, but elsewhere on it.
+        // The root is elsewhere on the path.
         let late = report(&ahead(0.0, false), 0.5);
         assert!(
             late.mean_distance < 0.05 && late.mean_error > 0.5,

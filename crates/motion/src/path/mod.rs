@@ -1,4 +1,4 @@
-//! Paths on the ground by arc length, their features, and motions warped onto them.
+//! Paths on the ground by arc length, path features, and warping of motions onto paths.
 //!
 //! Ground points are `[x, z]` in metres. A heading is `atan2(dx, dz)`: 0 along +z, growing towards
 //! +x. Source: docs/sources.md, section 7, with the readings in `docs/paths.md`.
@@ -36,7 +36,7 @@ pub use smoothing::{Edges, HEADING_ORDER, HEADING_WINDOW, savgol, savgol_weights
 pub use spline::{CatmullRom, Parameterization};
 pub use warp::{HeadingMode, Warp, Warped, placed};
 
-/// Steps below this have no direction, metres per frame, nor have shorter paths, metres.
+/// Smallest step with a direction, metres per frame, and shortest path with a direction, metres.
 const STILL: f64 = 1e-6;
 
 fn between([ax, az]: [f64; 2], [bx, bz]: [f64; 2]) -> f64 {

@@ -40,10 +40,10 @@ pub struct PathPlan {
     /// Parameterization of a spline.
     #[serde(default)]
     pub parameterization: Parameterization,
-    /// Whether the path returns to its start.
+    /// True if the path returns to its start.
     #[serde(default)]
     pub closed: bool,
-    /// Speed along it, metres per second; by default from end to end in the motion's time.
+    /// Speed along the path, metres per second. By default the motion covers the whole path.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed: Option<f64>,
 }
@@ -58,7 +58,8 @@ impl PathPlan {
         }
     }
 
-    /// The path in `text` by `file`'s extension: `.csv` with x and z, `.svg` with a scale, or TOML.
+    /// The path in `text`, by `file`'s extension: `.csv` with x and z, `.svg` with a scale, or
+    /// TOML.
     ///
     /// # Errors
     /// [`PathError::Document`] or [`PathError::File`] with the place in the file.
@@ -101,7 +102,7 @@ impl PathPlan {
     }
 
     /// # Errors
-    /// As [`polyline`](Self::polyline), and [`PathError::NoLength`].
+    /// The errors of [`polyline`](Self::polyline), and [`PathError::NoLength`].
     pub fn validate(&self) -> Result<(), PathError> {
         if let Some(speed) = self.speed {
             in_range("speed", speed, ABOVE_ZERO)?;
@@ -144,7 +145,7 @@ fn ground_points<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<[f64; 2]>, D:
     points.map(pair).collect()
 }
 
-/// The points of a table, one a row. A first row may name the columns x and z.
+/// The points of a table, one per row. The first row may name columns x and z.
 fn read_table(text: &str) -> Result<Vec<[f64; 2]>, String> {
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)

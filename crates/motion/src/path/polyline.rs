@@ -3,7 +3,7 @@
 use super::course::walked;
 use super::{PathError, STILL};
 
-/// Largest coordinate, metres: single precision resolves half a millimetre there.
+/// Largest coordinate, metres. Single precision resolves half a millimetre there.
 pub(super) const MAX_METRES: f64 = 5e3;
 
 /// A polyline on the ground.
@@ -31,7 +31,7 @@ impl PathPoint {
 }
 
 impl Polyline {
-    /// The polyline through `points`; neighbours may be equal.
+    /// The polyline through `points`. Neighboring points may be equal.
     ///
     /// # Errors
     /// [`PathError::TooFewPoints`], [`PathError::NotAPoint`].
@@ -40,7 +40,7 @@ impl Polyline {
         Ok(Self::through(points))
     }
 
-    /// The polyline through finite points, which may exceed the range of user input.
+    /// The polyline through finite points, possibly beyond the range of user input.
     pub(super) fn through(points: Vec<[f64; 2]>) -> Self {
         let cumulative = walked(&points);
         Self { points, cumulative }
@@ -61,7 +61,8 @@ impl Polyline {
         *self.cumulative.last().expect("two points or more")
     }
 
-    /// The position at a share of its length, clamped; without length, its start with tangent +z.
+    /// The position at a share of the length, clamped to the line. Without length: the start, with
+    /// tangent +z.
     pub fn at(&self, share: f64) -> PathPoint {
         self.at_metres(share.clamp(0.0, 1.0) * self.length())
     }
@@ -76,7 +77,7 @@ impl Polyline {
             };
         }
         let metres = metres.clamp(0.0, length);
-        // The last segment with a length that begins at or before.
+        // The last nonzero segment that begins at or before this length.
         let begins = self.cumulative.partition_point(|begin| *begin <= metres);
         let mut segment = begins.clamp(1, self.points.len() - 1) - 1;
         let long = |segment: usize| self.cumulative[segment + 1] - self.cumulative[segment];
@@ -108,7 +109,7 @@ impl Polyline {
     /// Points at equal distances along the line, including both ends.
     ///
     /// # Panics
-    /// Panics for fewer than two.
+    /// Panics for fewer than two points.
     pub fn resampled(&self, count: usize) -> Vec<[f64; 2]> {
         assert!(count >= 2, "both ends");
         let share = |i: usize| i as f64 / (count - 1) as f64;
@@ -152,7 +153,7 @@ mod tests {
             (-0.5, [0.0, 0.0], [0.0, 1.0]),
             (0.0, [0.0, 0.0], [0.0, 1.0]),
             (0.5, [0.0, 1.5], [0.0, 1.0]),
-            // At a corner the tangent is that of the next segment.
+            // The tangent at a corner is the next segment's.
             (2.0 / 3.0, [0.0, 2.0], [1.0, 0.0]),
             (1.0, [1.0, 2.0], [1.0, 0.0]),
             (7.0, [1.0, 2.0], [1.0, 0.0]),
@@ -188,7 +189,7 @@ mod tests {
         ) {
             let line = Polyline::new(points.clone()).unwrap();
             let place = line.at(share);
-            // The part before has this share of the length.
+            // The part has this share of the length.
             let metres = share * line.length();
             let mut before: Vec<[f64; 2]> = points
                 .iter()

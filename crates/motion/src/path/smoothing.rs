@@ -11,7 +11,7 @@ pub const HEADING_ORDER: usize = 3;
 /// Values beyond both ends.
 #[derive(Clone, Copy, Debug, Default, Eq, PartialEq)]
 pub enum Edges {
-    /// None: the polynomials of the first and last window are extrapolated.
+    /// No values: the polynomials of the first and last window are extrapolated.
     #[default]
     Fitted,
     /// The first and the last value.
@@ -20,8 +20,8 @@ pub enum Edges {
     Mirror,
 }
 
-/// Weights of the `window` values around a frame for the value, or `derivative`, of their
-/// polynomial of `order` at offset `at` from the middle.
+/// Weights of the `window` values around a frame. The weighted sum is the value, or `derivative`,
+/// of the fitted polynomial of `order` at offset `at` from the middle.
 ///
 /// # Panics
 /// Panics unless `window` is odd and greater than `order`.
@@ -29,7 +29,7 @@ pub fn savgol_weights(window: usize, order: usize, at: f64, derivative: usize) -
     let valid = window % 2 == 1 && order < window;
     assert!(valid, "{window} frames, order {order}");
     let half = (window / 2) as f64;
-    // Offsets from -1 to 1 keep the powers well conditioned.
+    // Offsets from -1 to 1 give well-conditioned powers.
     let scale = half.max(1.0);
     let offsets = |i: usize| (i as f64 - half) / scale;
     let powers = DMatrix::from_fn(window, order + 1, |i, p| offsets(i).powi(p as i32));
@@ -40,7 +40,7 @@ pub fn savgol_weights(window: usize, order: usize, at: f64, derivative: usize) -
             factor * (at / scale).powi((p - derivative) as i32) / scale.powi(derivative as i32)
         }
     });
-    // The shortest weights w with powers^T w = wanted: Q R^-T wanted.
+    // The smallest weights w with powers^T w = wanted: Q R^-T wanted.
     let decomposed = powers.qr();
     let solved = decomposed
         .r()
@@ -50,8 +50,8 @@ pub fn savgol_weights(window: usize, order: usize, at: f64, derivative: usize) -
     (decomposed.q() * solved).iter().copied().collect()
 }
 
-/// `values` smoothed with `window` frames. Shorter lists use their largest odd window and, if
-/// needed, a lower order; fewer than 3 values do not change.
+/// `values` smoothed with `window` frames. Shorter lists use the largest possible odd window and,
+/// if needed, a lower order. Fewer than 3 values are not changed.
 ///
 /// # Panics
 /// Panics unless `window` is odd and greater than `order`.
@@ -99,7 +99,7 @@ pub fn savgol(values: &[f64], window: usize, order: usize, edges: Edges) -> Vec<
     (0..n).map(smoothed).collect()
 }
 
-/// A ground track with each axis [smoothed](savgol), ends fitted.
+/// A ground track with each axis [smoothed](savgol) and fitted ends.
 pub fn smoothed(track: &[[f64; 2]], window: usize, order: usize) -> Vec<[f64; 2]> {
     let axis = |i: usize| {
         let values: Vec<f64> = track.iter().map(|point| point[i]).collect();

@@ -38,7 +38,7 @@ impl Parameterization {
 /// A curve through control points.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CatmullRom {
-    /// For each segment its two control points and one before and after.
+    /// Four control points per segment: the two ends, and one before and after.
     segments: Vec<[[f64; 2]; 4]>,
     power: f64,
 }
@@ -50,7 +50,7 @@ impl CatmullRom {
     /// The curve through `points`, extended in the direction of its end points, or closed.
     ///
     /// # Errors
-    /// As [`Polyline::new`].
+    /// The errors of [`Polyline::new`].
     pub fn new(
         points: &[[f64; 2]],
         parameterization: Parameterization,
@@ -106,7 +106,7 @@ impl CatmullRom {
         }
         let unit = knots[2] - knots[1];
         let t = knots[1] + tau * unit;
-        // Linear interpolation in t of two moving points, from knot a to knot b.
+        // Linear interpolation in t between two moving points, from knot a to knot b.
         let mix = |[p, dp]: Moving, [q, dq]: Moving, a: f64, b: f64| -> Moving {
             let (left, right) = ((b - t) / (b - a), (t - a) / (b - a));
             let value = [0, 1].map(|i| left * p[i] + right * q[i]);
@@ -122,7 +122,7 @@ impl CatmullRom {
         (value, slope.map(|by_t| by_t * unit))
     }
 
-    /// The curve as a line of 64 straight pieces for each segment.
+    /// The curve as a line with 64 straight pieces per segment.
     pub fn polyline(&self) -> Polyline {
         let mut points = vec![self.at(0, 0.0).0];
         for segment in 0..self.segments() {

@@ -8,17 +8,17 @@ use super::polyline::MAX_METRES;
 /// Tolerance of the flattening of curves, metres.
 const TOLERANCE: f64 = 1e-3;
 
-/// Allowed metres per unit.
+/// Allowed scales, metres per unit.
 const SCALES: std::ops::RangeInclusive<f64> = 1e-6..=1e4;
 
 /// SVG elements whose children are not rendered in place.
 const HIDDEN: [&str; 6] = ["defs", "clipPath", "marker", "mask", "pattern", "symbol"];
 
-/// Most nodes of a file, whose entities may multiply them.
+/// Largest number of nodes of a file; entities can multiply nodes.
 const MOST_NODES: u32 = 1 << 20;
 
-/// The first `path`, `polyline`, `polygon` or `line` of an SVG file, with `scale` metres per unit:
-/// its points `[x, z]`, metres, x to the right, z up, and whether it is closed. Only the first
+/// The first `path`, `polyline`, `polygon` or `line` of an SVG file, with `scale` metres per unit.
+/// Returns points `[x, z]`, metres, x to the right, z up, and true if closed. Only the first
 /// subpath is read.
 pub(super) fn read_svg(text: &str, scale: f64) -> Result<(Vec<[f64; 2]>, bool), String> {
     if !SCALES.contains(&scale) {
@@ -73,7 +73,7 @@ pub(super) fn read_svg(text: &str, scale: f64) -> Result<(Vec<[f64; 2]>, bool), 
         parts += usize::from(matches!(element, PathEl::MoveTo(_)));
         match element {
             _ if parts > 1 => {}
-            // Up on the page is +z.
+            // The upward direction of the page is +z.
             PathEl::MoveTo(point) | PathEl::LineTo(point) => {
                 path.push([scale * point.x, -scale * point.y]);
             }

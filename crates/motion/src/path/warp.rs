@@ -14,7 +14,7 @@ use crate::humanml::{FeatureError, Joints, Skeleton};
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum HeadingMode {
-    /// Rotated like the direction of its trajectory: a sideways walk stays sideways.
+    /// Rotated like the direction of the trajectory: a sideways walk stays sideways.
     #[default]
     Relative,
     /// In the direction of the path.
@@ -30,10 +30,10 @@ pub struct Warp {
     pub along: ArcLengthMode,
     /// Heading of the body.
     pub turning: HeadingMode,
-    /// Whether rotations are smoothed by a Savitzky-Golay filter of 11 frames and order 3.
+    /// Smooth rotations with a Savitzky-Golay filter of 11 frames and order 3.
     pub smooth: bool,
-    /// Speed below which the root has no direction, metres per second, for relative headings: the
-    /// sway of a standing body is not followed. At 0 every step has a direction.
+    /// Smallest speed of a root with a direction, metres per second, for relative headings. The
+    /// body then does not follow the sway of standing. At 0 every step has a direction.
     pub least_speed: f64,
 }
 
@@ -51,15 +51,16 @@ pub struct Warped {
     pub course: Course,
     /// Rotation of each frame about +y, radians.
     pub turned: Vec<f64>,
-    /// Ratio of the trajectory's length on the path to that before, 0 for a standing motion.
+    /// Ratio of the trajectory's length on the path to the original length; 0 for a standing
+    /// motion.
     pub speed_ratio: f64,
 }
 
 impl Warp {
-    /// `joints` on `path`: each frame is moved, and rotated about the vertical through its root.
+    /// `joints` on `path`: each frame is moved and rotated about the vertical through the root.
     ///
     /// # Errors
-    /// [`PathError::Features`] unless they are joints of `skeleton`.
+    /// [`PathError::Features`] for joints of another skeleton.
     pub fn apply(
         &self,
         joints: &Joints,
@@ -111,11 +112,11 @@ impl Warp {
     }
 }
 
-/// `joints` with each frame rotated by `turns` about the vertical through its root, which is moved
-/// to `points`. Frames beyond the last point are dropped.
+/// `joints` with each frame rotated by `turns` about the vertical through the root. The root is
+/// moved to `points`. Frames after the last point are dropped.
 ///
 /// # Errors
-/// [`FeatureError::LengthMismatch`] unless there are as many angles as points, and enough frames.
+/// [`FeatureError::LengthMismatch`] for different numbers of angles and points, or too few frames.
 pub fn placed(joints: &Joints, points: &[[f64; 2]], turns: &[f64]) -> Result<Joints, FeatureError> {
     FeatureError::unless_equal("angles", points.len(), turns.len())?;
     FeatureError::unless_equal("points", points.len().min(joints.frames()), points.len())?;
@@ -214,7 +215,7 @@ mod tests {
                 );
             }
         }
-        // The same body moved sideways: it faces +z and travels along +x.
+        // The same body moves sideways: it faces +z and travels along +x.
         let sideways = (0..70).flat_map(|t| {
             let frame = joints.frame(0);
             let by = 0.05 * t as f64;
@@ -236,7 +237,7 @@ mod tests {
     fn a_body_that_stands_and_sways_is_not_turned() {
         let (joints, skeleton) = walking(60);
         let still = joints.frame(0).to_vec();
-        // Two seconds of standing, swaying by millimetres, then the walk.
+        // The body stands for two seconds, swaying by millimetres, then walks.
         let mut places = Vec::new();
         for t in 0..40 {
             let (a, b) = (

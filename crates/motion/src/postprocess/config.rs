@@ -7,11 +7,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Hemisphere {
-    /// The one nearer to the frame before: continuous in time.
+    /// The sign nearer to the previous frame: continuous in time.
     #[default]
     Continuous,
-    /// `w >= 0` in every frame, as in CC-MotionGen. A rotation through `w = 0`, common in real
-    /// dances, then flips the sign between two frames.
+    /// `w >= 0` in every frame, as in CC-MotionGen. Rotations through `w = 0` are common in real
+    /// dances and flip the sign between two frames.
     PositiveW,
 }
 
@@ -58,7 +58,7 @@ pub enum PostProcessProfile {
     /// [`PostProcessConfig::default`].
     #[default]
     Default,
-    /// [`PostProcessConfig::ccmotion`], exactly CC-MotionGen's.
+    /// [`PostProcessConfig::ccmotion`], exactly as in CC-MotionGen.
     Ccmotion,
     /// [`PostProcessConfig::none`]: the raw output of the model.
     None,
@@ -84,9 +84,9 @@ pub struct PostProcessConfig {
     pub clamp_values: bool,
     /// Limits of the clamps.
     pub limits: ClampLimits,
-    /// Widen limits to the range of the training phrases, if known: real dances exceed 10 rad/s.
+    /// Widen limits to the range of the training phrases, if known. Real dances exceed 10 rad/s.
     pub widen_limits: bool,
-    /// Step 2: normalise quaternions and make their sign follow `hemisphere`.
+    /// Step 2: normalize quaternions, with signs by `hemisphere`.
     pub normalize_quaternions: bool,
     /// Sign of quaternions in steps 2 and 3.
     pub hemisphere: Hemisphere,
@@ -96,11 +96,11 @@ pub struct PostProcessConfig {
     pub quaternion_smoothing_window: usize,
     /// Step 4: clamp the phase to [0, 1].
     pub clamp_phase: bool,
-    /// Step 4: keep the phase where it steps back by at most half a bar.
+    /// Step 4: hold the phase at backward steps of at most half a bar.
     pub enforce_phase_monotonic: bool,
-    /// Step 5: average velocity with the differences of position.
+    /// Step 5: average the velocity with position differences.
     pub enforce_velocity_coherence: bool,
-    /// Step 5: average acceleration with the differences of velocity.
+    /// Step 5: average the acceleration with velocity differences.
     pub enforce_accel_coherence: bool,
     /// Differences of step 5.
     pub differences: Differences,
@@ -109,14 +109,14 @@ pub struct PostProcessConfig {
     /// Frames in that mean, odd.
     pub smoothing_kernel_size: usize,
     /// Step 7: fit the nearest coherent motion ([`crate::coherence`]), if training statistics are
-    /// known. Not in CC-MotionGen. The coherence of such motion is no measure of the network.
+    /// known. Not in CC-MotionGen. The coherence of a fitted motion does not measure the network.
     pub fit_coherent_motion: bool,
     /// Step 8: derive the angular velocity from the quaternions. Not in CC-MotionGen.
     pub derive_angular_velocity: bool,
 }
 
 impl Default for PostProcessConfig {
-    /// Normalised quaternions, clamps no tighter than the training range, coherent motion.
+    /// Normalized quaternions, clamps at least as wide as the training range, coherent motion.
     fn default() -> Self {
         Self {
             clamp_values: true,
@@ -167,7 +167,7 @@ impl PostProcessConfig {
     }
 
     /// # Errors
-    /// For even windows, and limits that are not positive and finite.
+    /// Errors for even windows, and for limits that are not positive and finite.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         let keys = ["quaternion_smoothing_window", "smoothing_kernel_size"];
         let windows = [self.quaternion_smoothing_window, self.smoothing_kernel_size];

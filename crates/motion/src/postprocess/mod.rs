@@ -3,7 +3,7 @@
 //! Steps (CC-MotionGen, section 9.2; docs/sources.md, section 1.12):
 //!
 //! 1. values clamped
-//! 2. quaternions normalised, with the sign of one hemisphere
+//! 2. quaternions normalized, with the sign of one hemisphere
 //! 3. quaternions smoothed
 //! 4. phase clamped, then made monotonic
 //! 5. velocity, then acceleration, blended with the differences
@@ -11,7 +11,7 @@
 //! 7. the nearest coherent motion fitted (not in CC-MotionGen)
 //! 8. angular velocity derived from the quaternions (not in CC-MotionGen)
 //!
-//! Steps 1 to 6 use double precision and are rounded once.
+//! Steps 1 to 6 use double precision. The result is rounded once.
 
 mod config;
 mod orientation;
@@ -31,9 +31,9 @@ use crate::{Phrase, Statistics};
 /// A phrase `[frames, 25]` in double precision.
 type Frames = Vec<[f64; CHANNELS]>;
 
-/// Post-processes a phrase. Training `statistics` widen the limits and scale the coherent fit.
+/// Post-processes a phrase. The training `statistics` widen limits and scale the coherent fit.
 ///
-/// NaN stays NaN and prevents the fit; infinities are clamped if the channel has limits.
+/// NaN stays NaN and prevents the fit. Infinities are clamped in channels with limits.
 pub fn process(
     motion: &Phrase,
     config: &PostProcessConfig,
@@ -43,7 +43,7 @@ pub fn process(
     process_around(motion, config, statistics, &none, &confidence)
 }
 
-/// The same with `known` frames, which the fit passes through, and headings' `confidence`, 0 to 1.
+/// [`process`] with `known` frames, which the fit keeps, and the headings' `confidence`, 0 to 1.
 pub fn process_around(
     motion: &Phrase,
     config: &PostProcessConfig,
@@ -110,7 +110,7 @@ pub fn process_around(
     processed
 }
 
-/// Derives the angular velocity from the quaternions where both are finite.
+/// Derives the angular velocity from the quaternions, in frames with finite values.
 pub fn derive_angular_velocity(motion: &mut Phrase) {
     let finite = |vector: [f64; 3]| vector.iter().all(|value| value.is_finite());
     let rates = crate::derivatives::angular_rates(motion);
@@ -166,7 +166,7 @@ fn blend_with_differences(
     for (base, explicit) in base.zip(explicit) {
         let values: Vec<f64> = frames.iter().map(|frame| frame[base]).collect();
         for (t, frame) in frames.iter_mut().enumerate() {
-            // The frame at the end uses its neighbour's difference.
+            // The frame at the end uses the neighboring frame's difference.
             let next = match differences {
                 Differences::Forward => (t + 1).min(values.len() - 1),
                 Differences::Backward => t.max(1),
@@ -177,7 +177,7 @@ fn blend_with_differences(
     }
 }
 
-/// A centred mean over `kernel_size` frames of all channels but quaternion and phase.
+/// A centered mean over `kernel_size` frames, for all channels except quaternion and phase.
 fn smooth_over_time(frames: &mut Frames, kernel_size: usize) {
     let original = frames.clone();
     let smoothed = |channel: &usize| !QUATERNION.contains(channel) && *channel != PHASE;
@@ -189,13 +189,13 @@ fn smooth_over_time(frames: &mut Frames, kernel_size: usize) {
     }
 }
 
-/// Indices of the `size` frames (odd) centred at `t`, with the ends repeated.
+/// Indices of the `size` frames (odd) centered at `t`, with the ends repeated.
 fn window(t: usize, size: usize, frames: usize) -> impl Iterator<Item = usize> {
     let reach = size / 2;
     (0..2 * reach + 1).map(move |offset| (t + offset).saturating_sub(reach).min(frames - 1))
 }
 
-/// Keeps NaN, unlike `f64::max`, and never panics, unlike `f64::clamp`.
+/// Unlike `f64::max`, this keeps NaN; unlike `f64::clamp`, this never panics.
 fn clamp(value: f64, low: f64, high: f64) -> f64 {
     match value {
         _ if value < low => low,
@@ -230,7 +230,7 @@ mod tests {
         let processed = process(&motion, &PostProcessConfig::default(), None);
         let pairs = processed.as_slice().iter().zip(motion.as_slice());
         for (index, (after, before)) in pairs.enumerate() {
-            // The quaternions' rounding, times the frame rate.
+            // The rounding error of quaternions, times the frame rate.
             let turns = ANGULAR_VELOCITY.contains(&(index % CHANNELS));
             let allowed = if turns { 3e-5 } else { 2e-7 };
             assert!((after - before).abs() < allowed, "{after} {before}");
@@ -241,7 +241,7 @@ mod tests {
     fn the_angular_velocity_is_that_of_the_written_quaternions() {
         let mut motion = random_phrase(5, 31);
         for t in 0..31 {
-            // Short quaternions of either sign, and an account that has nothing to do with them.
+            // Short quaternions of both signs, and an unrelated angular velocity.
             let sign = if t % 3 == 0 { -0.6 } else { 0.6 };
             motion.set_quaternion(t, motion.quaternion(t).scale(sign));
             motion.set_vector(t, ANGULAR_VELOCITY, [1.0, -2.0, 0.5]);

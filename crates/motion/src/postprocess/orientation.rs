@@ -6,7 +6,7 @@ use crate::derivatives::make_sign_continuous;
 use crate::phrase::{CHANNELS, QUATERNION};
 use crate::vector::plus;
 
-/// A norm below this carries no direction.
+/// Smallest norm of a quaternion with a direction.
 const SMALLEST_NORM: f64 = 1e-8;
 
 /// Brings every quaternion to unit norm and to one hemisphere.
@@ -16,7 +16,8 @@ pub(super) fn normalize(frames: &mut Frames, hemisphere: Hemisphere) {
     write(frames, &quaternions);
 }
 
-/// Replaces each quaternion by the normalised mean of the `size` around it, with its sign.
+/// Replaces each quaternion by the normalized mean of `size` quaternions around it, keeping the
+/// sign.
 pub(super) fn smooth(frames: &mut Frames, size: usize, hemisphere: Hemisphere) {
     let original: Vec<Quaternion> = frames.iter().map(read).collect();
     let mean = |t: usize| {
@@ -35,7 +36,8 @@ fn finish(quaternions: &mut [Quaternion], hemisphere: Hemisphere) {
     for quaternion in quaternions.iter_mut() {
         let norm = quaternion.norm();
         *quaternion = match hemisphere {
-            // CC-MotionGen leaves a vanishing quaternion short; here the one before is repeated.
+            // CC-MotionGen leaves a vanishing quaternion short. Here the previous quaternion is
+            // repeated.
             Hemisphere::Continuous if norm < SMALLEST_NORM => previous,
             _ => quaternion.scale(1.0 / norm.max(SMALLEST_NORM)),
         };
@@ -67,8 +69,7 @@ fn write(frames: &mut Frames, quaternions: &[Quaternion]) {
 mod tests {
     use super::*;
 
-    /// A body that turns steadily about +y, in 0.1 rad steps through w = 0, stored with alternating
-    /// signs and twice the unit norm.
+    /// A body that turns about +y in steps of 0.1 rad, through w = 0. Signs alternate; norms are 2.
     fn turning() -> Frames {
         let mut frames = vec![[0.0; CHANNELS]; 80];
         let sign = |t: usize| if t.is_multiple_of(2) { 2.0 } else { -2.0 };

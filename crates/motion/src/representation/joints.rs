@@ -33,7 +33,8 @@ impl JointFeatures {
         Features::new(rows, self.layout(), self.root).ok()
     }
 
-    /// Squared difference between the trajectory read with `root` and joint 0's displacements.
+    /// Squared difference between joint 0's displacements and the trajectory for representation
+    /// `root`.
     fn mismatch(&self, rows: &[f32], root: Root) -> f64 {
         let Ok(features) = Features::new(rows.to_vec(), self.layout(), root) else {
             return 0.0;
@@ -108,7 +109,8 @@ impl Representation for JointFeatures {
         Some(&self.skeleton)
     }
 
-    /// Root representations have equal channels; the one that fits joint 0's steps is accepted.
+    /// Root representations have equal channels. The representation that fits joint 0's steps is
+    /// accepted.
     fn accepts(&self, shape: &[usize], values: &[f32]) -> bool {
         let fits =
             matches!(shape, [_, channels] if *channels == self.channels()) && !values.is_empty();
@@ -120,7 +122,7 @@ impl Representation for JointFeatures {
         }
     }
 
-    /// The first invalid rotation, as in normalised features or another layout.
+    /// The first invalid rotation, which indicates normalized features or another layout.
     fn implausible(&self, rows: &[f32]) -> Option<String> {
         let frames = rows.chunks_exact(self.channels()).enumerate();
         frames.into_iter().find_map(|(t, frame)| {
@@ -165,7 +167,7 @@ impl Representation for JointPositions {
         3 * self.skeleton.joints()
     }
 
-    /// That of features: datasets store such clips as features.
+    /// The number of feature channels, because datasets store these clips as features.
     fn stored_channels(&self) -> usize {
         self.skeleton.layout().channels()
     }
@@ -199,7 +201,7 @@ impl Representation for JointPositions {
     }
 }
 
-/// Metres per unit of the positions: joints are at most about a metre from the root.
+/// Metres per unit of the positions, given that joints are at most about a metre from the root.
 fn unit_of(joints: &Joints) -> f64 {
     /// Metres in a centimetre.
     const CENTIMETRE: f64 = 1e-2;
@@ -247,7 +249,7 @@ impl Representation for GroundPath {
         Joints::new(places.collect(), 1).ok()
     }
 
-    /// Position, and speed and jerk as of a body.
+    /// Position, speed and jerk of the root.
     fn curves(&self, rows: &[f32]) -> Vec<Curves> {
         let mut all = vec![Curves::channels("position (m)", rows, 2, 0..2, &["x", "z"])];
         if let Some(joints) = self.joints(rows) {
@@ -257,7 +259,7 @@ impl Representation for GroundPath {
     }
 }
 
-/// Curves of a body: heights and speeds of root and feet, and jerk.
+/// Curves of a body: heights and speeds of root and feet, jerk.
 pub(super) fn curves(joints: &Joints, skeleton: Option<&Skeleton>, fps: f64) -> Vec<Curves> {
     let heights = |joint| -> Vec<f64> { joints.track(joint).iter().map(|[_, y, _]| *y).collect() };
     let speeds = |joint| -> Vec<f64> {
@@ -300,7 +302,7 @@ mod tests {
         }
     }
 
-    /// A clip whose values wander by channel and frame; the contact flags stay 1.
+    /// A clip whose values vary by channel and frame. The contact flags are 1.
     fn clip(frames: usize, scale: f32) -> Vec<f32> {
         let layout = representation().layout();
         let channels = layout.channels();

@@ -1,7 +1,8 @@
 //! Representations of motion.
 //!
-//! A [`Representation`] defines channels, frame rate, normalisation, joints, checks and curves.
-//! Models are trained on [`Phrases`] and [`JointFeatures`]; [`JointPositions`] are for exchange.
+//! A [`Representation`] defines channels, frame rate, normalization, joints, checks and curves.
+//! Models are trained on [`Phrases`] and [`JointFeatures`]. [`JointPositions`] are an exchange
+//! format.
 
 mod joints;
 mod phrases;
@@ -22,9 +23,9 @@ use crate::sanity::body;
 use crate::{ChannelMoments, Error, Profile, Report, Statistics};
 
 /// A representation of motion. Rows are `[frames, channels]`, row-major, in the units of the
-/// dataset; they may contain any values, including NaN, unless stated otherwise.
+/// dataset. Rows may contain any values, including NaN, unless stated otherwise.
 pub trait Representation: Debug + Send + Sync {
-    /// Its name, for messages.
+    /// The name, for messages.
     fn name(&self) -> String;
 
     /// Number of channels.
@@ -54,7 +55,7 @@ pub trait Representation: Debug + Send + Sync {
         None
     }
 
-    /// Whether an array of this `shape` with these values is in this representation.
+    /// True if an array of this `shape` with these values is in this representation.
     fn accepts(&self, shape: &[usize], _values: &[f32]) -> bool {
         matches!(shape, [frames, channels] if *frames > 0 && *channels == self.channels())
     }
@@ -65,12 +66,12 @@ pub trait Representation: Debug + Send + Sync {
         channels.map(|c| (self.channel_name(c), c..c + 1)).collect()
     }
 
-    /// Statistics that normalise motion with these `moments`.
+    /// Statistics that normalize motion with these `moments`.
     fn statistics(&self, moments: ChannelMoments) -> Statistics {
         Statistics::standard(moments)
     }
 
-    /// Mean norm of the third derivative of position, metres per second cubed; of finite rows.
+    /// Mean norm of the third derivative of position in finite rows, metres per second cubed.
     fn mean_jerk(&self, rows: &[f32]) -> f64 {
         let joints = self.joints(rows);
         let jerk = joints.and_then(|joints| mean_jerk(&joints, self.fps()));
@@ -82,16 +83,16 @@ pub trait Representation: Debug + Send + Sync {
         Vec::new()
     }
 
-    /// Why finite rows cannot be in this representation, if that can be detected.
+    /// The reason that finite rows cannot be in this representation, if detectable.
     fn implausible(&self, _rows: &[f32]) -> Option<String> {
         None
     }
 
-    /// Checks whether rows are plausible motion; `statistics` are those of training motion.
+    /// Checks the plausibility of rows; `statistics` are those of training motion.
     ///
     /// # Errors
-    /// [`Error::StatisticsNeeded`], or [`Error::MovementUnknown`] if they do not describe movement.
-    /// A failed check is not an error ([`Report::passed`]).
+    /// [`Error::StatisticsNeeded`], or [`Error::MovementUnknown`] if the statistics do not describe
+    /// movement. A failed check is not an error ([`Report::passed`]).
     fn check(
         &self,
         rows: &[f32],
@@ -155,7 +156,7 @@ impl Measured {
     /// Measures the finite rows of one item.
     ///
     /// # Panics
-    /// Panics if there are none.
+    /// Panics without rows.
     pub fn of(representation: &dyn Representation, rows: &[f32]) -> Self {
         let movement = representation.movement(rows).into_iter();
         let movement = movement.map(|(name, value)| (name.to_owned(), vec![value]));
@@ -180,7 +181,7 @@ impl Measured {
         &self.moments
     }
 
-    /// The statistics that normalise such motion.
+    /// The statistics that normalize the motion.
     pub fn statistics(self, representation: &dyn Representation) -> Statistics {
         let extremes = |values: Vec<f64>| [1.0, 99.0].map(|p| percentile(values.clone(), p));
         let movement = self.movement.into_iter();
@@ -208,7 +209,7 @@ pub fn statistics_of<'a>(
 
 /// Root mean square of the norm of a vector in `channels`.
 fn root_mean_square(moments: &ChannelMoments, channels: Range<usize>) -> f64 {
-    // E|v|^2 is the sum over the axes of squared mean plus squared deviation.
+    // E|v|^2 is the sum of squared means and squared deviations over the axes.
     let squares = channels.map(|c| moments.mean[c].powi(2) + moments.std[c].powi(2));
     squares.sum::<f64>().sqrt()
 }

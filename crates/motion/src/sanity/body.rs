@@ -106,11 +106,11 @@ mod tests {
         }
     }
 
-    /// The checks that fail after `change` was applied to the joints of a good clip, `[frames, 22, 3]`.
+    /// The failing checks after `change` of the joints of a good clip, `[frames, 22, 3]`.
     fn failing(change: impl Fn(usize, usize, &mut [f32; 3])) -> Vec<&'static str> {
         let representation = representation();
         let mut good = test_clip(&representation.skeleton, 40).to_f32();
-        // High enough that no swinging foot reaches the floor.
+        // At this height no swinging foot reaches the floor.
         good.iter_mut()
             .skip(1)
             .step_by(3)
@@ -148,7 +148,7 @@ mod tests {
             }
         });
         assert_eq!(stretched, ["bone_length"]);
-        // Feet below the floor are on the ground too: they slide.
+        // Feet below the floor are on the ground too and slide.
         assert_eq!(failing(|_, _, p| p[1] -= 3.0), ["floor", "skating"]);
         assert_eq!(failing(|t, _, p| p[0] += 0.3 * t as f32), ["speed"]);
         let trembling = failing(|t, _, p| p[1] += 0.05 * (t % 2) as f32);

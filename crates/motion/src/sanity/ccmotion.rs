@@ -18,7 +18,7 @@ const MAX_VELOCITY_ERROR: f64 = 5.0;
 const MAX_ACCELERATION_ERROR: f64 = 100.0;
 
 /// Makes the five checks of [`Profile::Ccmotion`](super::Profile::Ccmotion) (CC-MotionGen, section
-/// 10.1; docs/sources.md, section 1.13), and the line `finite` where it fails.
+/// 10.1; docs/sources.md, section 1.13), and adds a failed check `finite`.
 pub(super) fn check(motion: &Phrase) -> Report {
     let mut checks = vec![
         quaternion(motion),

@@ -1,9 +1,9 @@
 //! Plausibility checks of a phrase.
 //!
 //! [`Profile::Ccmotion`] makes the five checks of CC-MotionGen, section 10.1 (docs/sources.md,
-//! section 1.13). Most cannot fail where it matters (section 1.14, hazard 10): they are means, the
-//! jerk bound exceeds what the clamps pass, and a path may shake under smooth channels.
-//! [`Profile::Strict`] checks every frame, the derivatives against the poses, and the
+//! section 1.13). Most of these checks cannot fail on bad motion (section 1.14, hazard 10). The
+//! checks are means, the jerk bound exceeds all clamped motion, and a path may shake under smooth
+//! channels. [`Profile::Strict`] checks every frame, the derivatives against the poses, and the
 //! [measures](crate::MotionMeasure) of the poses against the training phrases.
 
 pub(crate) mod body;
@@ -26,7 +26,7 @@ const JERK_FACTOR: f64 = 3.0;
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Profile {
-    /// CC-MotionGen's five checks and thresholds, and a line `finite` where that fails.
+    /// CC-MotionGen's five checks and thresholds, plus `finite` if that check fails.
     #[default]
     Ccmotion,
     /// Every frame, channels against poses, and poses against the training phrases.
@@ -34,7 +34,7 @@ pub enum Profile {
 }
 
 impl std::fmt::Display for Profile {
-    /// Its name in a config.
+    /// The name in a config.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         self.serialize(f)
     }
@@ -44,7 +44,7 @@ impl std::fmt::Display for Profile {
 ///
 /// # Errors
 /// For `strict`, [`Error::StatisticsNeeded`] without `statistics` and [`Error::MovementUnknown`] if
-/// they do not describe movement. A failed check is not an error ([`Report::passed`]).
+/// the statistics do not describe movement. A failed check is not an error ([`Report::passed`]).
 pub fn check(
     motion: &Phrase,
     profile: Profile,
@@ -100,10 +100,10 @@ fn coherence(name: &'static str, error: f64, message: &str, below: f64) -> Check
     Check::new(name, error, Threshold::Below(below), message)
 }
 
-/// Smallest and largest value; both NaN if one is NaN.
+/// Smallest and largest value; both NaN if a value is NaN.
 fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
     values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| {
-        // `f64::min` would drop a NaN.
+        // `f64::min` would ignore NaN.
         match value.is_nan() || low.is_nan() {
             true => [f64::NAN; 2],
             false => [low.min(value), high.max(value)],

@@ -9,7 +9,7 @@ use serde::Serialize;
 pub struct Report {
     /// The checks in the order of the profile.
     pub checks: Vec<Check>,
-    /// Whether all of them passed.
+    /// True if all checks passed.
     pub passed: bool,
 }
 
@@ -20,7 +20,7 @@ impl Report {
         Self { checks, passed }
     }
 
-    /// The check of that name.
+    /// The check named `name`.
     pub fn check(&self, name: &str) -> Option<&Check> {
         self.checks.iter().find(|check| check.name == name)
     }
@@ -31,7 +31,7 @@ impl Report {
 pub struct Check {
     /// Name of the check.
     pub name: &'static str,
-    /// Whether the value lies within the threshold.
+    /// True if the value lies within the threshold.
     pub passed: bool,
     /// The measured value, in the units of the check.
     pub value: Value,
@@ -42,7 +42,7 @@ pub struct Check {
 }
 
 impl Check {
-    /// A check that passes where the threshold admits the value.
+    /// A check that passes if the threshold allows the value.
     pub fn new(
         name: &'static str,
         value: impl Into<Value>,
@@ -59,7 +59,7 @@ impl Check {
         }
     }
 
-    /// The outcome farther beyond its threshold, or less far within.
+    /// The outcome with the larger excess over the threshold.
     pub fn worse(self, other: Self) -> Self {
         let excess = |check: &Self| check.threshold.excess(check.value);
         // NaN is the worst.
@@ -70,7 +70,7 @@ impl Check {
     }
 }
 
-/// A measurement. In JSON a number or a pair of numbers (`null` where it is not finite).
+/// A measurement. In JSON a number or a pair of numbers (`null` for values that are not finite).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum Value {
@@ -101,7 +101,7 @@ pub enum Threshold {
 }
 
 impl Threshold {
-    /// Whether the value (both ends of a range) is allowed. NaN never is.
+    /// True if the value (both ends of a range) is allowed. NaN is not allowed.
     pub fn admits(self, value: Value) -> bool {
         let admits = |value: f64| match self {
             Self::Below(bound) => value < bound,
@@ -115,7 +115,7 @@ impl Threshold {
         }
     }
 
-    /// Distance of the value (the worse end of a range) beyond the bound, negative within.
+    /// Excess of the value (the worse end of a range) over the bound, negative within the bound.
     fn excess(self, value: Value) -> f64 {
         let excess = |value: f64| match self {
             Self::Below(bound) | Self::AtMost(bound) => value - bound,

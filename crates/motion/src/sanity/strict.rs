@@ -13,16 +13,16 @@ const NORM_TOLERANCE: f64 = 1e-3;
 /// Allowed error of velocity and acceleration, relative to the training phrases' root mean square.
 const COHERENCE_SHARE: f64 = 0.1;
 
-/// Number of windows that begin within the length of one.
+/// Number of windows that begin within one window length.
 const WINDOWS_A_LENGTH: usize = 8;
 
-/// Shortest window, frames, for which all measures exist.
+/// Shortest window with all measures, frames.
 const SHORTEST_WINDOW: usize = 31;
 
 /// Allowed mean error of the angular velocity, radians per second.
 const MAX_ROTATION_ERROR: f64 = 0.1;
 
-/// Largest possible tilt, degrees; bounds stay below it.
+/// Largest possible tilt, degrees; bounds stay below.
 const UPSIDE_DOWN: f64 = 180.0;
 
 /// Allowed backward step of the phase, bars.
@@ -30,9 +30,9 @@ const PHASE_TOLERANCE: f64 = 0.01;
 
 /// Makes the checks of [`Profile::Strict`](super::Profile::Strict); none without measures.
 ///
-/// Means are checked in windows of the training phrases' length, an eighth apart, and the worst is
-/// reported: a minute of dancing does not compensate five seconds of standing. Short phrases lack
-/// some measures and have wider bounds.
+/// Means are checked in windows of the training phrases' length, an eighth of it apart. The worst
+/// window is reported, so a minute of dancing does not compensate five seconds of standing. Short
+/// phrases lack some measures and have wider bounds.
 pub(super) fn check(motion: &Phrase, training: &Statistics) -> Option<Report> {
     if training.movement.is_empty() {
         return None;
@@ -106,10 +106,11 @@ fn means(motion: &Phrase, training: &Statistics) -> Option<Vec<Check>> {
     Some(checks)
 }
 
-/// A measure against its 1st and 99th percentile in training motion; `None` if it is not checked.
+/// The check of a measure against its 1st and 99th percentile in training motion; `None` for
+/// unchecked measures.
 fn movement(measure: MotionMeasure, motion: &Phrase, training: &Statistics) -> Option<Check> {
     let &[low, high] = training.movement.get(measure.name())?;
-    // A part of a phrase may be less or more lively than the phrase.
+    // Parts of a phrase vary more in movement than the whole phrase.
     let length = training.frames as f64 / training.items.max(1) as f64;
     let shorter = (length / motion.frames() as f64).max(1.0);
     let threshold = match measure.bounds() {
@@ -129,7 +130,7 @@ fn movement(measure: MotionMeasure, motion: &Phrase, training: &Statistics) -> O
     Some(Check::new(measure.name(), value, threshold, message))
 }
 
-/// The smallest step of the phase; none of a single frame.
+/// The smallest step of the phase; `None` for a single frame.
 fn phase_direction(motion: &Phrase) -> Option<Check> {
     let steps = phase_steps(motion);
     (!steps.is_empty()).then(|| {

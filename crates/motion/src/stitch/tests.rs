@@ -3,7 +3,7 @@ use crate::phrase::PHASE;
 use crate::random_phrase::random_phrase;
 use crate::{CHANNELS, Phrase, anchor_floor};
 
-/// The windows of a motion, each anchored where it begins.
+/// The windows of a motion, each anchored at its start.
 fn cut(windows: &Windows, motion: &Phrase) -> Vec<f32> {
     let parts = (0..windows.len()).map(|window| {
         let mut part = motion.slice(windows.of(window));
@@ -57,7 +57,7 @@ fn pieces_of_a_motion_make_the_motion() {
     anchor_floor(&mut motion);
     let windows = Windows::new(91, 24);
     let mut values = cut(&windows, &motion);
-    // A window may have turned all its signs.
+    // All quaternion signs of a window may be flipped.
     for channel in QUATERNION {
         let first = (2 * CHANNELS + channel) * 24;
         values[first..first + 24]
@@ -124,7 +124,7 @@ fn windows_in_other_encodings_make_the_motion() {
     let stitched = windows.stitch(&mut values, None, layout);
     assert_near(&stitched, &columns(&motion), 2e-5);
     assert_near(&values, &before, 2e-5);
-    // Known frames of these channels stay too, and fade.
+    // Known frames in these channels stay too, and the difference fades.
     let known = KnownFrames {
         is_known: (0..91).map(|t| (30..40).contains(&t)).collect(),
         values: columns(&motion),
@@ -141,7 +141,7 @@ fn windows_in_other_encodings_make_the_motion() {
 
 #[test]
 fn predicted_phases_of_one_number_are_blended_around_the_bar() {
-    // Two windows that differ by a little, across the end of a bar.
+    // Two slightly different windows across the end of a bar.
     let windows = Windows::new(30, 20);
     assert_eq!(windows.starts(), [0, 10]);
     let layout = Layout::Predicted(ChannelEncoding::default());
@@ -180,7 +180,7 @@ fn windows_that_differ_agree_afterwards() {
             assert_eq!(height(window, t), motion[50 + t]);
         }
     }
-    // Doing it again changes nothing.
+    // A second stitching changes nothing.
     let again = windows.stitch(&mut values, None, Layout::Phrase);
     assert_near(&again, &motion, 1e-5);
 }
@@ -203,9 +203,9 @@ fn known_frames_are_exact_and_determine_the_position() {
         let part = |values: &[f32]| values[channel * 70 + 30..channel * 70 + 40].to_vec();
         assert_eq!(part(&stitched), part(&known.values));
     }
-    // The windows were cut from it, so that all of it is there.
+    // The windows were cut from the motion, so stitching restores it.
     assert_near(&stitched[..70], &known.values[..70], 1e-4);
-    // Where they differ, the edge is no step.
+    // Different windows do not cause a step at the edge.
     let mut still = vec![0.0; values.len()];
     let stitched = windows.stitch(&mut still, Some(&known), Layout::Phrase);
     let height = |t: usize| stitched[70 + t];

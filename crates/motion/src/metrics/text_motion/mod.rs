@@ -1,7 +1,7 @@
 //! Metrics of motions and their captions.
 //!
-//! The embeddings are those of the published pair of encoders (C. Guo et al., "Generating Diverse
-//! and Natural 3D Human Motions from Text", 2022). [`TextMotionReport`] has the metrics.
+//! The embeddings come from the published pair of encoders (C. Guo et al., "Generating Diverse and
+//! Natural 3D Human Motions from Text", 2022). [`TextMotionReport`] contains the metrics.
 
 mod report;
 mod words;

@@ -14,14 +14,14 @@ pub const POOL: usize = 32;
 /// Number of pairs for diversity.
 pub const DIVERSITY_PAIRS: usize = 300;
 
-/// R-precision: the share of captions whose own motion is the nearest, among the two, and among the
-/// three nearest of its pool. Embeddings are `[n, width]`, pairs at one index.
+/// R-precision: the shares of captions whose own motion is among the nearest one, two and three
+/// motions of the pool. Embeddings are `[n, width]`; a pair has one index.
 ///
-/// Pools are [`POOL`] consecutive pairs; the remainder is not ranked. Of equally near motions the
-/// first is nearer, so identical motions rank by chance. Captions of the pool with the same
-/// embedding count as the own one, because small datasets repeat captions. Motions are ranked by
-/// Euclidean distance for each caption, as in the published program (the paper ranks captions for
-/// each motion). `None` for less than one pool or values that are not finite.
+/// Pools are [`POOL`] consecutive pairs; the remainder is not ranked. Equally near motions rank in
+/// order of index, so identical motions rank by chance. Motions of equal captions in the pool count
+/// as the own motion, because small datasets repeat captions. As in the published program, motions
+/// are ranked by Euclidean distance for each caption; the paper ranks captions for each motion.
+/// `None` for less than one pool or values that are not finite.
 pub fn r_precision(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<[f64; 3]> {
     assert_eq!(texts.len(), motions.len(), "a caption for each motion");
     let mut found = [0usize; 3];
@@ -45,14 +45,15 @@ pub fn r_precision(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<[f64; 3]>
 }
 
 /// Mean Euclidean distance between the embeddings of captions and their motions, both `[n, width]`;
-/// also called matching score. `None` of nothing or values that are not finite.
+/// also called matching score. `None` without values, or if a value is not finite.
 pub fn multimodal_distance(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<f64> {
     assert_eq!(texts.len(), motions.len(), "a caption for each motion");
     mean(texts.iter().zip(motions).map(|(a, b)| Some(distance(a, b))))
 }
 
-/// Share of the motions whose nearest caption, of all distinct ones, is their own; embeddings as in
-/// [`r_precision`]. `None` of nothing, a single caption, or values that are not finite.
+/// Share of the motions whose nearest caption, among all distinct captions, is their own.
+/// Embeddings are those of [`r_precision`]. `None` without motions, for a single caption, or values
+/// that are not finite.
 pub fn caption_accuracy(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<f64> {
     let first = |text: &Vec<f64>| texts.iter().position(|other| other == text);
     let own = texts.iter().enumerate();
@@ -60,9 +61,9 @@ pub fn caption_accuracy(texts: &[Vec<f64>], motions: &[Vec<f64>]) -> Option<f64>
     label_accuracy(texts, motions, &own.collect::<Vec<_>>())
 }
 
-/// Share of the motions whose nearest caption, of all distinct ones, belongs to a motion with the
-/// same label: `labels` are the values of one label, such as the action. Motions without one are
-/// not counted. `None` for fewer than two values or embeddings that are not finite.
+/// Share of the motions whose nearest caption, among all distinct captions, belongs to a motion
+/// with the same label. `labels` are the values of one label, such as the action. Motions without a
+/// label are not counted. `None` for fewer than two values or embeddings that are not finite.
 pub fn label_accuracy<L: Copy + Ord>(
     texts: &[Vec<f64>],
     motions: &[Vec<f64>],
@@ -97,8 +98,8 @@ pub fn label_accuracy<L: Copy + Ord>(
 }
 
 /// Metrics of motions, their captions and real motions, by their embeddings. A metric without data
-/// or with values that are not finite is `None`. The published program drops the remainder after
-/// the last pool for all metrics; here only for the R-precision.
+/// or with values that are not finite is `None`. The remainder after the last pool is dropped only
+/// for the R-precision; the published program drops it for all metrics.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct TextMotionReport {
@@ -127,7 +128,7 @@ pub struct TextMotionReport {
 }
 
 impl TextMotionReport {
-    /// Measures motions by the embeddings of them, their captions (at the same index) and real
+    /// Measures motions by the embeddings of motions, captions (at the same index) and real
     /// motions. `seed` determines the pairs for diversity.
     pub fn compute(texts: &[Vec<f64>], motions: &[Vec<f64>], real: &[Vec<f64>], seed: u64) -> Self {
         let r_precision = r_precision(texts, motions);
@@ -226,13 +227,13 @@ mod tests {
 
     #[test]
     fn a_motion_is_ranked_within_its_pool() {
-        // Every caption lies by the next motion: its own is the second nearest, but that of the
-        // last one, whose next motion is in another pool.
+        // Every caption is nearest to the next motion, then to its own. The last caption's next
+        // motion is in another pool.
         let motions = at(numbers(64));
         let texts = at(numbers(64).map(|place| place + 0.9));
         let found = r_precision(&texts, &motions).unwrap();
         assert_eq!(found, [1.0 / 32.0, 1.0, 1.0]);
-        // By the next but one: the own one is third, but for the last two of a pool.
+        // The own motion is third nearest, except for the last two of a pool.
         let texts = at(numbers(64).map(|place| place + 1.4));
         let found = r_precision(&texts, &motions).unwrap();
         assert_eq!(found, [1.0 / 32.0, 2.0 / 32.0, 1.0]);
@@ -245,7 +246,7 @@ mod tests {
         motions[32..].reverse();
         assert_eq!(r_precision(&texts, &motions), Some([1.0; 3]));
         assert_eq!(r_precision(&texts[..31], &motions[..31]), None);
-        // (7 + 5 + 3 + 1) * 2 over the last eight.
+        // The last eight distances add up to (7 + 5 + 3 + 1) * 2.
         assert_eq!(multimodal_distance(&texts, &motions), Some(32.0 / 40.0));
         assert_eq!(multimodal_distance(&[], &[]), None);
     }
@@ -259,12 +260,12 @@ mod tests {
 
     #[test]
     fn motions_of_equal_captions_are_as_good_as_the_own_one() {
-        // Two kinds, the motions of each in any order: every caption finds one of its kind.
+        // There are two kinds: every caption is nearest to a motion of its kind.
         let motions = at(numbers(32).map(|place| place % 2.0 * 10.0 + place / 100.0));
         let kinds = at(numbers(32).map(|place| place % 2.0 * 10.0));
         assert_eq!(r_precision(&kinds, &motions), Some([1.0; 3]));
         assert_eq!(caption_accuracy(&kinds, &motions), Some(1.0));
-        // Every caption beside the motions of the other kind, whose 16 come first.
+        // Every caption is near the motions of the other kind, so these 16 rank first.
         let other = at(numbers(32).map(|place| 10.0 - place % 2.0 * 10.0));
         assert_eq!(r_precision(&other, &motions), Some([0.0; 3]));
         assert_eq!(caption_accuracy(&other, &motions), Some(0.0));
@@ -281,14 +282,15 @@ mod tests {
             ("run", "happy"),
         ];
         let texts = at([0.0, 1.0, 10.0, 11.0]);
-        // The first two are taken for each other, the last for a sad run.
+        // The first two motions are confused, and the last is nearest to the sad run.
         let motions = at([0.9, 0.1, 10.0, 10.2]);
         let of = |which: fn((&'static str, &'static str)) -> &'static str| {
             label_accuracy(&texts, &motions, &labels.map(|label| Some(which(label))))
         };
         assert_eq!(of(|label| label.0), Some(1.0));
         assert_eq!(of(|label| label.1), Some(0.25));
-        // One without a label is not counted; a caption of two values is right for both.
+        // Motions without a label are not counted. A caption with two label values is right for
+        // both.
         let some = [Some("sad"), Some("happy"), None, Some("happy")];
         assert_eq!(label_accuracy(&texts, &motions, &some), Some(1.0 / 3.0));
         let one = at([0.0, 0.0, 10.0, 11.0]);

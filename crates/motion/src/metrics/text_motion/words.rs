@@ -1,4 +1,4 @@
-//! Words of captions: their parts of speech and their vectors.
+//! Words of captions, with parts of speech and vectors.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -7,13 +7,13 @@ use std::fmt;
 use kinegrad_random::{Key, Purpose};
 use thiserror::Error;
 
-/// Most words of a caption that are read.
+/// Largest number of words read from a caption.
 pub const MAX_WORDS: usize = 20;
 
 /// Replacement of words without a vector.
 const UNKNOWN: &str = "unk";
 
-/// Classes of words, in the order of the one-hot vectors. Some words have a class by themselves.
+/// Classes of words, in the order of the one-hot vectors. Some words have a fixed class.
 #[derive(Clone, Copy, Debug, Eq, Hash, PartialEq)]
 pub enum PartOfSpeech {
     /// `VERB`.
@@ -68,7 +68,7 @@ impl PartOfSpeech {
         (Self::Other, "OTHER"),
     ];
 
-    /// Its name in caption files.
+    /// The name in caption files.
     pub fn name(self) -> &'static str {
         Self::ALL[self as usize].1
     }
@@ -79,7 +79,7 @@ impl PartOfSpeech {
         found.map_or(Self::Other, |(class, _)| class)
     }
 
-    /// The class of a word by itself.
+    /// The fixed class of a word.
     fn of_word(word: &str) -> Option<Self> {
         Some(match word {
             "left" | "right" | "clockwise" | "counterclockwise" | "anticlockwise" | "forward"
@@ -144,7 +144,8 @@ pub struct WordVectorsError {
 /// A vector for each word.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WordVectors {
-    /// Row of each word, and the values of all rows; every word has a random vector without them.
+    /// Row of each word, and the values of all rows. Without values, every word has a random
+    /// vector.
     table: Option<(HashMap<String, usize>, Vec<f32>)>,
     width: usize,
 }
@@ -182,7 +183,7 @@ impl WordVectors {
         })
     }
 
-    /// A normal random vector of `width` numbers for every word, for captions with few words.
+    /// A normal random vector of `width` numbers for every word.
     pub fn random(width: usize) -> Self {
         Self { table: None, width }
     }
@@ -192,7 +193,7 @@ impl WordVectors {
         self.width
     }
 
-    /// The vector of a word, if it has one.
+    /// The vector of a word, if known.
     pub fn vector(&self, word: &str) -> Option<Cow<'_, [f32]>> {
         let Some((places, values)) = &self.table else {
             let key = Key::new(0, Purpose::WordVectors).named(word);
@@ -203,7 +204,7 @@ impl WordVectors {
     }
 
     /// Vectors and classes of a caption's first [`MAX_WORDS`] words, between `sos` and `eos`. Words
-    /// without a vector use that of `unk` and are [`PartOfSpeech::Other`].
+    /// without a vector use the vector of `unk` and are [`PartOfSpeech::Other`].
     pub fn sentence(&self, tokens: &[Token]) -> Vec<(Cow<'_, [f32]>, PartOfSpeech)> {
         let words = tokens.iter().take(MAX_WORDS);
         let words = words.map(|token| (token.word.as_str(), token.part_of_speech));

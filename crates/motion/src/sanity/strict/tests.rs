@@ -1,4 +1,4 @@
-//! Motions that the strict checks let pass, and such that fail by name.
+//! Motions that pass the strict checks, and motions that fail named checks.
 
 use super::*;
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, VELOCITY};
@@ -56,7 +56,7 @@ fn a_single_frame_of_wrong_norm_or_sign_fails() {
 
 #[test]
 fn phase_outside_the_bar_fails() {
-    // In all frames, so that no single step stands out.
+    // The error is in all frames, so no single step stands out.
     assert_eq!(
         failing(|m| (0..60).for_each(|t| m.frame_mut(t)[PHASE] += 0.018)),
         ["phase"]
@@ -67,7 +67,7 @@ fn phase_outside_the_bar_fails() {
 #[test]
 fn errors_beyond_a_tenth_of_the_training_scale_fail() {
     let statistics = training();
-    // By its Euclidean norm, 0.6 / 0.8 of the offset along two axes.
+    // The Euclidean norm counts: the offset has shares 0.6 and 0.8 along two axes.
     let offset = |share: f64, scale: f64| [0.6 * share * scale, 0.0, -0.8 * share * scale];
     let (speed, rate) = (
         statistics.rms_speed.unwrap(),
@@ -93,7 +93,7 @@ fn trembling_fails() {
     assert!(!zigzag(2.99).contains(&"jerk"));
 }
 
-/// A phrase of these poses whose other channels follow from them.
+/// A phrase with these poses; the other channels follow from the poses.
 fn with_poses(
     pose: impl Fn(usize, [f64; 3], Quaternion, f64) -> ([f64; 3], Quaternion, f64),
 ) -> Phrase {
@@ -138,21 +138,21 @@ fn broken_movement_that_agrees_with_its_channels_fails_by_name() {
     }));
     assert!(jumping.contains(&"largest_turn"), "{jumping:?}");
     assert!(jumping.contains(&"turn_acceleration"), "{jumping:?}");
-    // It spins at three turns a second.
+    // The body spins at three turns per second.
     let spinning = failed(&with_poses(|t, p, q, phase| {
         (p, Quaternion::from_yaw(0.628 * t as f64) * q, phase)
     }));
     assert!(spinning.contains(&"turn_rate"), "{spinning:?}");
     let standing = failed(&with_poses(|_, p, q, _| (p, q, 0.5)));
     assert_eq!(standing, ["phase_rate"]);
-    // From 0.17 to 0.88 of the bar at the right tempo, then a leap over the rest.
+    // The phase goes from 0.17 to 0.88 of the bar at the right tempo, then jumps over the rest.
     let leaping = failed(&with_poses(|_, p, q, phase| {
         (p, q, 0.17 + 0.71 * (phase + 0.5).fract())
     }));
     assert_eq!(leaping, ["largest_phase_step"]);
     let backwards = failed(&with_poses(|_, p, q, phase| (p, q, 1.0 - phase)));
     assert_eq!(backwards, ["phase_direction", "phase_rate"]);
-    // It is carried off at twelve metres a second.
+    // The body moves away at twelve metres per second.
     let carried = failed(&with_poses(|t, [x, y, z], q, phase| {
         ([x + 0.4 * t as f64, y, z], q, phase)
     }));
@@ -178,7 +178,7 @@ fn a_body_that_falls_over_fails_and_a_slight_lean_never_does() {
     assert!(failing(75.0, 37.0) && !failing(73.0, 37.0));
     assert!(failing(180.0, 37.0));
     assert!(failing(21.0, 0.0) && !failing(19.0, 0.0));
-    // Dancers who lie on the floor.
+    // The dancers lie on the floor.
     assert!(failing(180.0, 95.0) && !failing(130.0, 95.0));
 }
 
@@ -196,7 +196,7 @@ fn no_part_of_a_long_motion_makes_up_for_another() {
             .collect::<Vec<_>>()
     };
     assert_eq!(failed(&long), []);
-    // It stands for three seconds of twenty, from second 8 on, and then continues.
+    // The dancer stands for three seconds of twenty, from second 8 on, then continues.
     let standing = |t: usize| t.clamp(0, 240) + t.saturating_sub(330);
     let poses = (0..600).map(standing);
     let positions: Vec<_> = poses.clone().map(|t| long.vector(t, POSITION)).collect();
@@ -210,7 +210,7 @@ fn no_part_of_a_long_motion_makes_up_for_another() {
         message.contains("0.000 m/s in seconds 8.") || message.contains("in seconds 9."),
         "{message}"
     );
-    // As a mean over all of it, that is within the bounds.
+    // The mean over the whole phrase is within the bounds.
     assert!(
         means(&motion, &training)
             .unwrap()
@@ -237,7 +237,7 @@ fn windows_cover_a_motion_and_are_as_long_as_training_phrases() {
 fn channels_that_lie_about_the_movement_fail() {
     let lying = failing(|m| add_everywhere(m, ANGULAR_VELOCITY, [0.0, 0.2, 0.0]));
     assert_eq!(lying, ["rotation_coherence"]);
-    // A zigzag of the path under the smooth velocity, acceleration and jerk of another.
+    // The path zigzags, while velocity, acceleration and jerk are those of a smooth path.
     let zigzag = failing(|m| {
         for t in (0..60).step_by(2) {
             let place = m.vector(t, POSITION);
