@@ -125,7 +125,7 @@ impl DiffusionConfig {
     /// Checks all values.
     ///
     /// # Errors
-    /// The first invalid key, with its value and the allowed ones.
+    /// Returns the first invalid key, with its value and the allowed values.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         self.check().within("diffusion")
     }

@@ -33,7 +33,7 @@ impl GaussianDiffusion {
     /// The process of `config`.
     ///
     /// # Errors
-    /// If the config is not valid ([`DiffusionConfig::validate`]).
+    /// Fails if the config is not valid ([`DiffusionConfig::validate`]).
     pub fn new(config: &DiffusionConfig) -> Result<Self, InvalidSetting> {
         Ok(Self {
             schedule: NoiseSchedule::new(config)?,
@@ -142,7 +142,7 @@ impl GaussianDiffusion {
     /// epsilon  c / snr        sample  c        v_prediction  c / (snr + 1)
     /// ```
     ///
-    /// All three formulas give the error of the clean motion the same weight.
+    /// All three weigh the error of the clean motion equally.
     pub fn loss_weights(&self, timesteps: &[usize]) -> Vec<f64> {
         let Some(snr_gamma) = self.config.snr_gamma else {
             return vec![1.0; timesteps.len()];
@@ -271,8 +271,8 @@ mod tests {
         assert_eq!(sample[0], 5.0);
         assert_eq!(epsilon[3], 1.0);
         for (i, &t) in timesteps.iter().enumerate() {
-            // The squared error of the noise is snr times the motion's squared error; that of v is
-            // snr + 1 times.
+            // The squared error of the noise is snr times the motion's; that of v is snr + 1 times
+            // the motion's.
             let snr = schedule.snr(t);
             assert!((epsilon[i] * snr - sample[i]).abs() < 1e-12);
             assert!((v[i] * (snr + 1.0) - sample[i]).abs() < 1e-12);

@@ -99,8 +99,8 @@ impl Rollout {
     /// - x_start_noise: `[batch, channels, time]`, preferably on the device of `model`; detached
     ///
     /// # Errors
-    /// If the clipping bounds do not fit the channels, or the sizes of the network's output and
-    /// input differ.
+    /// Fails if the clipping bounds do not fit the channels, or the sizes of the network's output
+    /// and input differ.
     pub fn run<D: Denoiser + ?Sized>(
         &self,
         model: &D,

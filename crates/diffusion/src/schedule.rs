@@ -50,7 +50,7 @@ impl NoiseSchedule {
     /// The tables of `config`.
     ///
     /// # Errors
-    /// If the config is not valid ([`DiffusionConfig::validate`]).
+    /// Fails if the config is not valid ([`DiffusionConfig::validate`]).
     pub fn new(config: &DiffusionConfig) -> Result<Self, InvalidSetting> {
         config.validate()?;
         let mut betas = config.betas();
@@ -113,8 +113,8 @@ impl NoiseSchedule {
     }
 }
 
-/// Algorithm 1 of Lin et al. 2023: shifts `sqrt(abar)` to 0 at the last timestep and rescales it to
-/// its old value at the first.
+/// Algorithm 1 of Lin et al. 2023: shifts `sqrt(abar)` to 0 at the last timestep and rescales
+/// `sqrt(abar)` to the old value at the first.
 fn rescale_zero_terminal_snr(betas: &[f64]) -> Vec<f64> {
     let mut product = 1.0;
     let roots: Vec<f64> = betas

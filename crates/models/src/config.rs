@@ -4,7 +4,7 @@ use kinegrad_settings::{InvalidSetting, Refused, require};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// Settings, by the name of a size.
+/// Settings by size name.
 pub type NamedSizes<N> = &'static [(&'static str, fn() -> N)];
 
 /// Largest width of a layer, in channels.
@@ -16,7 +16,7 @@ pub const MAX_LAYERS: usize = 1_024;
 /// Validates `model.latent_dim`, an even number; `hint` belongs to the error.
 ///
 /// # Errors
-/// Names the key.
+/// The error names the key.
 pub fn must_be_even(width: usize, hint: &'static str) -> Result<(), InvalidSetting> {
     require(
         (2..=MAX_WIDTH).contains(&width) && width.is_multiple_of(2),
@@ -27,10 +27,10 @@ pub fn must_be_even(width: usize, hint: &'static str) -> Result<(), InvalidSetti
     .hint(hint)
 }
 
-/// Validates that `model.num_heads` divides `model.latent_dim`.
+/// Validates `model.num_heads`, a divisor of `model.latent_dim`.
 ///
 /// # Errors
-/// Names the key.
+/// The error names the key.
 pub fn must_divide(heads: usize, width: usize) -> Result<(), InvalidSetting> {
     require(
         heads > 0 && width.is_multiple_of(heads),

@@ -4,8 +4,8 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_random::Key;
 
-/// The random key of a forward pass's masks. In training it depends on step, micro-batch and call.
-/// `None` disables dropout (validation, sampling, rollouts).
+/// The random key of a forward pass's masks. In training the key depends on step, micro-batch and
+/// call. `None` disables dropout (validation, sampling, rollouts).
 pub type DropoutKey = Option<Key>;
 
 /// Inverted dropout: elements are zeroed with probability `prob`; other elements are scaled by `1 /

@@ -47,7 +47,7 @@ impl Default for LoraConfig {
 
 impl LoraConfig {
     /// # Errors
-    /// The first invalid key.
+    /// Returns the first invalid key.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         in_range("lora.rank", self.rank, 1..=MAX_WIDTH).hint("4 to 16 is usual")?;
         in_range("lora.alpha", self.alpha, ABOVE_ZERO)

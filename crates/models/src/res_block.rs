@@ -15,7 +15,7 @@ pub struct ResBlockConfig {
     /// Width of the time embedding.
     pub time_embed_dim: usize,
     /// Apply the time embedding as scale and shift after the second normalization (FiLM) instead of
-    /// adding it before.
+    /// adding the embedding before.
     pub use_scale_shift_norm: bool,
     /// Dropout before the second convolution.
     pub dropout: f64,

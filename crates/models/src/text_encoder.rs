@@ -81,7 +81,7 @@ impl Default for ClipTextConfig {
 
 impl ClipTextConfig {
     /// # Errors
-    /// The first invalid key.
+    /// Returns the first invalid key.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         in_range("vocab_size", self.vocab_size, 3..=MAX_TOKENS)?;
         for (key, width) in [
@@ -108,7 +108,7 @@ impl ClipTextConfig {
     /// Builds the network; parameters are initialized at first use.
     ///
     /// # Errors
-    /// As [`validate`](Self::validate).
+    /// The errors of [`validate`](Self::validate).
     pub fn init(&self, init: &Initializer) -> Result<ClipTextModel, InvalidSetting> {
         self.validate()?;
         let (model, width) = (init.at("text_model"), self.hidden_size);

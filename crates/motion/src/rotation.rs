@@ -165,9 +165,9 @@ impl Mul for Quaternion {
     }
 }
 
-/// The shortest rotation from the direction of `from` to that of `to`: the quaternion (|u||v| +
-/// u.v, u x v), normalised. Opposite vectors turn about +y if possible; zero vectors give no
-/// rotation.
+/// The shortest rotation from the direction of `from` to the direction of `to`: the quaternion
+/// (|u||v| + u.v, u x v), normalized. Opposite vectors turn about +y if possible; zero vectors give
+/// no rotation.
 pub fn between(from: [f64; 3], to: [f64; 3]) -> Quaternion {
     let (u, v) = (Vector3::from(unit(from)), Vector3::from(unit(to)));
     let (scalar, mut axis) = (u.norm() * v.norm() + u.dot(&v), u.cross(&v));

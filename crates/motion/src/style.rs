@@ -150,7 +150,7 @@ mod tests {
 
     #[test]
     fn stop_and_go_is_burstier_than_constant_speed() {
-        // Half a second at 1 m/s, half a second of rest.
+        // The body moves at 1 m/s and rests, half a second each.
         let mut x = 0.0;
         let positions: Vec<_> = (0..180)
             .map(|t| {

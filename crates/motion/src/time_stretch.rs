@@ -56,7 +56,7 @@ pub fn at_speed(motion: &Phrase, speed: f64) -> Phrase {
     played
 }
 
-/// The two of `frames` frames around a time in frames, and the fraction between them.
+/// The two frames around a time in frames, and the fraction between these frames.
 pub fn between(frames: usize, time: f64) -> (usize, usize, f64) {
     let from = (time.max(0.0) as usize).min(frames - 1);
     let to = (from + 1).min(frames - 1);

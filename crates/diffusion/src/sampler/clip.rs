@@ -7,7 +7,7 @@ use kinegrad_settings::{InvalidSetting, Refused, require};
 ///
 /// The source clips to [-1, 1] (CC-MotionGen, sections 3.2.4 and 8.1; docs/sources.md, sections 1.3
 /// and 1.9). Some channels of real motion exceed that range by far. Bounds per channel from
-/// training data do not.
+/// training data keep real motion unchanged.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum ClipRange {
     /// No bounds.
@@ -32,7 +32,7 @@ impl ClipRange {
     /// Checks the bounds for motions with `channels` channels.
     ///
     /// # Errors
-    /// If the number of bounds is wrong, a minimum exceeds its maximum, or a bound is NaN.
+    /// Fails if the number of bounds is wrong, a minimum exceeds its maximum, or a bound is NaN.
     pub fn validate(&self, channels: usize) -> Result<(), InvalidSetting> {
         match self {
             Self::None => Ok(()),

@@ -223,7 +223,7 @@ const MAX_FLOW_STEPS: usize = 10_000;
 /// Checks a sampler's settings for a diffusion process.
 ///
 /// # Errors
-/// The first invalid key, with its value and the allowed ones.
+/// Returns the first invalid key, with its value and the allowed values.
 pub fn must_suit(config: &SamplerConfig, process: &DiffusionConfig) -> Result<(), InvalidSetting> {
     suits(config, process).within(TABLE)
 }
@@ -231,7 +231,7 @@ pub fn must_suit(config: &SamplerConfig, process: &DiffusionConfig) -> Result<()
 /// Checks a sampler's settings for a flow.
 ///
 /// # Errors
-/// The first invalid key, with its value and the allowed ones.
+/// Returns the first invalid key, with its value and the allowed values.
 pub fn must_suit_flow(config: &SamplerConfig) -> Result<(), InvalidSetting> {
     suits_flow(config).within(TABLE)
 }

@@ -66,7 +66,7 @@ pub fn ddpm(
 /// ```
 ///
 /// If the network predicts noise, known values replace entries of the sample. `imputation_noise`
-/// first noises them to the level of `prev_timesteps`.
+/// first noises the known values to the level of `prev_timesteps`.
 ///
 /// # Shapes
 /// - noise, imputation_noise, both standard normal, output: `[batch, channels, time]`

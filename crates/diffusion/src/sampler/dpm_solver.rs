@@ -9,8 +9,8 @@ use super::{OnStep, continue_or_stop};
 use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion};
 
-/// Smallest number of steps with a last step of second order. With fewer, it would overshoot
-/// (diffusers' `lower_order_final`). Steps to the clean motion are of first order.
+/// Smallest number of steps with a last step of second order. Otherwise the last step would
+/// overshoot (diffusers' `lower_order_final`). Steps to the clean motion are of first order.
 const STEPS_OF_SECOND_ORDER: usize = 15;
 
 /// Samples by DPM-Solver++(2M) along `path` (Lu et al. 2022, <https://arxiv.org/abs/2211.01095>,

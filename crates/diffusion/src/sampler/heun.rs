@@ -11,8 +11,8 @@ use crate::per_sample::per_sample;
 use crate::{Error, GaussianDiffusion, Time};
 
 /// Samples by Heun's method along `path` (Karras et al. 2022, <https://arxiv.org/abs/2206.00364>,
-/// algorithm 1). Each step calls the network twice, but the step to the clean motion once: the
-/// slope at its end is undefined, so it is Euler's.
+/// algorithm 1). Each step calls the network twice. The step to the clean motion is Euler's and
+/// calls the network once, because the slope at the end is undefined.
 ///
 /// # Shapes
 /// - x_T, output: `[batch, channels, time]`

@@ -74,8 +74,8 @@ pub(crate) fn continue_or_stop(flow: ControlFlow<()>) -> Result<(), Error> {
 /// - output: `[batch, channels, time]`
 ///
 /// # Errors
-/// If the sampler's settings are not valid for this process, the clipping bounds do not fit the
-/// channels, or the sizes of the network's output and input differ.
+/// Fails if the sampler's settings are not valid for this process, the clipping bounds do not fit
+/// the channels, or the sizes of the network's output and input differ.
 #[expect(
     clippy::too_many_arguments,
     reason = "each is another thing, named at the call"
@@ -105,7 +105,7 @@ pub fn sample<'k, D: Denoiser + ?Sized>(
 /// - x_T, output: `[batch, channels, time]`
 ///
 /// # Errors
-/// If the sampler's settings are not valid for this process, and the errors of `predict`.
+/// The errors of `predict`, and an error for settings that are not valid for this process.
 pub fn sample_with(
     diffusion: &GaussianDiffusion,
     predict: &mut Predict<'_, '_>,

@@ -31,7 +31,7 @@ impl<'s> Prediction<'s> {
     /// Converts `model_output` for `x_t`, by the process's prediction type.
     ///
     /// # Errors
-    /// If the sizes of the network's output and input differ, or the bounds do not fit the
+    /// Fails if the sizes of the network's output and input differ, or the bounds do not fit the
     /// channels.
     pub fn new(
         diffusion: &GaussianDiffusion,

@@ -49,8 +49,8 @@ impl Steered<'_> {
         }
     }
 
-    /// `sample`, the result of the step. If the network predicts noise, it contains the known
-    /// values.
+    /// `sample`, the result of the step. If the network predicts noise, the result contains the
+    /// known values.
     pub(crate) fn impute(
         &self,
         diffusion: &GaussianDiffusion,

@@ -67,7 +67,7 @@ pub struct Networks<'a, D: ?Sized> {
 /// - output: `[batch, channels, time]`
 ///
 /// # Errors
-/// The errors of [`sample`](crate::sample), and if the sampler is not DDPM.
+/// The errors of [`sample`](crate::sample), and an error for samplers other than DDPM.
 #[expect(
     non_snake_case,
     reason = "x_T is the field's symbol for the start noise"

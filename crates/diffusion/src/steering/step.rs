@@ -15,8 +15,8 @@ use crate::{
 /// - x_t: `[batch, channels, time]`, on the plain device
 ///
 /// # Errors
-/// If the clipping bounds do not fit the channels, or the sizes of the network's output and input
-/// differ.
+/// Fails if the clipping bounds do not fit the channels, or the sizes of the network's output and
+/// input differ.
 #[expect(
     clippy::too_many_arguments,
     reason = "each is another thing, named at the call"

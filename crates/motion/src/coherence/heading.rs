@@ -1,4 +1,4 @@
-//! The headings nearest to those of orientations and to the angular velocity about the vertical:
+//! The headings nearest to orientations and to the angular velocity about the vertical:
 //!
 //! ```text
 //! min_h  sum_t w_t |h_t - exp(i psi_t)|^2 / s_h^2 + |h_{t+1} - exp(i d_t) h_t|^2 / s_w^2

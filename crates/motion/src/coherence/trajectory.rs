@@ -5,7 +5,7 @@
 //!              + |fps^2 (p_{t+2} - 2 p_{t+1} + p_t) - A_t|^2 / s_a^2
 //! ```
 //!
-//! With the training deviations as scales `s`, this is the orthogonal projection of the normalised
+//! With the training deviations as scales `s`, this is the orthogonal projection of the normalized
 //! estimates onto coherent motion. The matrix has two diagonals beside the main diagonal.
 //! Differences are forward. Two extra frames complete the last velocity and acceleration.
 
@@ -17,7 +17,7 @@ use crate::phrase::{ACCELERATION, FPS, POSITION, VELOCITY};
 /// Frames of the fitted trajectory after the last estimate.
 pub const EXTRA_FRAMES: usize = 2;
 
-/// Smallest scales of velocity and acceleration relative to that of position, 1/s and 1/s^2.
+/// Smallest scales of velocity and acceleration relative to the position scale, 1/s and 1/s^2.
 const LEAST_RATES: [f64; 2] = [1e-3, 1e-2];
 
 /// The estimates as linear combinations of positions, from the estimate's frame on.
@@ -310,7 +310,7 @@ mod tests {
         let known: Vec<bool> = (0..90).map(|t| t < 60).collect();
         let original = motion.clone();
         fit_trajectory(&mut motion, &[0.5; 25], &known);
-        // The first frame after the known ones continues from them.
+        // The first frame after the known frames continues their motion.
         let step = |motion: &Phrase| motion.frame(60)[0] - motion.frame(59)[0];
         assert!((step(&motion) - step(&original)).abs() < 1e-3);
     }

@@ -22,7 +22,7 @@ pub struct ContactRule {
 }
 
 impl Default for ContactRule {
-    /// The height of the skating measure, a speed above its threshold, and an eighth of a second.
+    /// Height of the skating measure, 1.5 times its speed, and an eighth of a second.
     fn default() -> Self {
         Self {
             height: SKATING_HEIGHT,

@@ -67,7 +67,8 @@ impl GuidanceLoss {
     /// are free.
     ///
     /// # Errors
-    /// The errors of [`Goal::validate`] and [`GuidanceConfig::validate`], and too long goals.
+    /// The errors of [`Goal::validate`] and [`GuidanceConfig::validate`]; an error for too long
+    /// goals.
     pub fn new(
         config: &GuidanceConfig,
         goals: &[Goal],
@@ -114,8 +115,8 @@ impl GuidanceLoss {
         Ok(loss)
     }
 
-    /// The loss of ground positions `[batch, frames, 2]` in metres and its gradient, of that shape.
-    /// At kinks the subgradient is 0: at the margin, and at the target under the absolute norm.
+    /// The loss of ground positions `[batch, frames, 2]` in metres, and the gradient. At kinks the
+    /// subgradient is 0: at the margin, and at the target under the absolute norm.
     pub fn evaluate(&self, positions: &[f64]) -> (f64, Vec<f64>) {
         let width = 2 * self.frames;
         let expected = self.samples.len() * width;

@@ -136,7 +136,7 @@ mod tests {
             assert_near(at([0.1, 0.9]), (0.8 * root, [-root, root]));
             // For this inner point, a reflex corner is nearest.
             assert_near(at([0.0, -0.25]), (-0.25, [0.0, 1.0]));
-            // On an edge and beyond a corner of it.
+            // Points on an edge and beyond the edge's corner.
             assert_near(at([0.25, -1.0]), (0.0, [0.0, -1.0]));
             assert_near(at([0.5, 0.5]), (0.0, [-root, root]));
         }

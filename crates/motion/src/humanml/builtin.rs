@@ -38,8 +38,8 @@ const HUMANML3D: [Joint; 22] = [
 ];
 
 /// Left and right are those of the published facing joints and contact flags. The published raw
-/// directions of hips and shoulders point to the other side. This affects rotations but not
-/// positions.
+/// directions of hips and shoulders point to the other side. The directions affect rotations but
+/// not positions.
 const KIT: [Joint; 21] = [
     ("root", [0.0; 3], [0.0; 3]),
     ("pelvis", UP, [0.0, 0.06, 0.0]),

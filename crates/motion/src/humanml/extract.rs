@@ -19,8 +19,8 @@ use crate::vector::{minus, plus};
 pub struct Extraction {
     /// [Rescale](rescale) every clip to the reference bones, as in the published dataset.
     pub rescale: bool,
-    /// A foot joint is in contact where its squared displacement to the next frame is below this,
-    /// square metres. The published 0.002 is 4.5 cm per frame, without a height test.
+    /// A foot joint is in contact if the squared displacement to the next frame is below this
+    /// threshold, square metres. The published 0.002 is 4.5 cm per frame, without a height test.
     pub contact_threshold: f64,
     /// Heading of the root; published features use the smoothed heading.
     pub heading: Heading,
@@ -53,7 +53,7 @@ impl Extraction {
     /// [`features`](Self::features) with one row per frame: the last step is repeated.
     ///
     /// # Errors
-    /// As [`features`](Self::features).
+    /// The errors of [`features`](Self::features).
     pub fn features_of_all_frames(
         &self,
         skeleton: &Skeleton,
@@ -66,7 +66,7 @@ impl Extraction {
     /// facing +z.
     ///
     /// # Errors
-    /// As [`features`](Self::features).
+    /// The errors of [`features`](Self::features).
     pub fn features_in_place(
         &self,
         skeleton: &Skeleton,

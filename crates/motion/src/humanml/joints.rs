@@ -38,7 +38,7 @@ impl Joints {
     /// Positions from single precision, `[frames, joints, 3]` row by row.
     ///
     /// # Errors
-    /// As [`new`](Self::new).
+    /// The errors of [`new`](Self::new).
     pub fn from_f32(values: &[f32], joints: usize) -> Result<Self, FeatureError> {
         let (places, rest) = values.as_chunks::<3>();
         if !rest.is_empty() {

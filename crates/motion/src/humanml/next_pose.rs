@@ -12,7 +12,7 @@ use crate::vector::plus;
 /// Representation of the next pose, `[J, 3]` in metres, relative to the current root's ground
 /// position and in the current facing frame (docs/sources.md, section 5).
 ///
-/// Feature row t determines frame t + 1, so the history that predicts it ends with row t - 1.
+/// Feature row t determines frame t + 1, so the history for frame t + 1 ends with row t - 1.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, JsonSchema, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NextPose {

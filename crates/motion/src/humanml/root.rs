@@ -104,7 +104,7 @@ impl Root {
     /// positions, `[frames, 2]`.
     ///
     /// G(s) is the sum of `upstream` from frame s on. A relative step before frame s gets G(s) in
-    /// its own frame, a rotation the sum over later angles.
+    /// its own frame. A rotation gets the sum over later angles.
     pub fn ground_gradient(self, channels: &[[f64; 4]], upstream: &[[f64; 2]]) -> Vec<[f64; 4]> {
         assert_eq!(upstream.len(), channels.len(), "one gradient a frame");
         if self == Self::Absolute {

@@ -17,7 +17,7 @@ pub fn kinematic_beats(motion: &Phrase) -> Vec<f64> {
     peaks(motion, |speed| -speed)
 }
 
-/// Times in seconds at which the root is fastest. Real dances often have them on beats
+/// Times in seconds at which the root is fastest. In real dances, speed peaks are often on beats
 /// (docs/results.md).
 pub fn speed_peaks(motion: &Phrase) -> Vec<f64> {
     peaks(motion, |speed| speed)

@@ -21,7 +21,7 @@ pub struct Estimate {
 
 impl Estimate {
     /// The mean of the values of all `groups` with its bootstrap percentile interval (Efron and
-    /// Tibshirani 1993, sections 8 and 13): Groups are resampled with replacement 2000 times, and
+    /// Tibshirani 1993, sections 8 and 13): groups are resampled with replacement 2000 times, and
     /// then the values of each sampled group. Values of one group may be dependent, such as phrases
     /// of one song. Estimates with the same groups and `seed` use the same resamples.
     ///

@@ -28,9 +28,9 @@ pub fn trajectory_diversity(paths: &[Vec<Vec<[f64; 2]>>]) -> Option<f64> {
 }
 
 /// Multimodality: the mean Euclidean distance between the embeddings of two motions of one
-/// condition, over `pairs` random pairs. All conditions use the same pairs. As published, first
-/// indices are distinct, and second indices are distinct. `None` for fewer repetitions than pairs,
-/// or a mean that is not finite.
+/// condition, over `pairs` random pairs. All conditions use the same pairs. As published, pairs
+/// share no first or second index. `None` for fewer repetitions than pairs, or a mean that is not
+/// finite.
 ///
 /// `embeddings[condition][repetition]` are vectors of one length.
 pub fn multimodality(embeddings: &[Vec<Vec<f64>>], pairs: usize, seed: u64) -> Option<f64> {
@@ -46,7 +46,7 @@ pub fn multimodality(embeddings: &[Vec<Vec<f64>>], pairs: usize, seed: u64) -> O
 /// The mean Euclidean distance of repetitions `firsts[i]` and `seconds[i]`; `None` if not finite.
 ///
 /// # Panics
-/// Panics if a condition has no such repetition.
+/// Panics if a repetition is missing.
 pub fn mean_pair_distance(
     embeddings: &[Vec<Vec<f64>>],
     firsts: &[usize],

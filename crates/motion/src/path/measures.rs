@@ -19,7 +19,7 @@ pub struct PathReport {
     pub largest_distance: f64,
     /// Mean distance of the root from its position on the course, metres.
     pub mean_error: f64,
-    /// Mean angle between body and path, degrees. All following measures need a body too.
+    /// Mean angle between body and path, degrees. This and all following measures need a body.
     pub heading_error: Option<f64>,
     /// Mean horizontal step of low and slow ankles and toes, metres.
     pub slide: Option<f64>,

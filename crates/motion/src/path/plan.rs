@@ -113,7 +113,7 @@ impl PathPlan {
         }
     }
 
-    /// The path by arc length; splines have 64 segments between neighbouring points.
+    /// The path by arc length; splines have 64 segments between neighboring points.
     ///
     /// # Errors
     /// [`PathError::TooFewPoints`], [`PathError::NotAPoint`].

@@ -51,7 +51,7 @@ pub fn savgol_weights(window: usize, order: usize, at: f64, derivative: usize) -
 }
 
 /// `values` smoothed with `window` frames. Shorter lists use the largest possible odd window and,
-/// if needed, a lower order. Fewer than 3 values are not changed.
+/// if needed, a lower order. Fewer than 3 values stay.
 ///
 /// # Panics
 /// Panics unless `window` is odd and greater than `order`.

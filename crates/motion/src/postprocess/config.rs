@@ -90,7 +90,7 @@ pub struct PostProcessConfig {
     pub normalize_quaternions: bool,
     /// Sign of quaternions in steps 2 and 3.
     pub hemisphere: Hemisphere,
-    /// Step 3: replace each quaternion by the mean of its neighbours.
+    /// Step 3: replace each quaternion by the mean of its neighbors.
     pub smooth_quaternions: bool,
     /// Frames in that mean, odd.
     pub quaternion_smoothing_window: usize,
@@ -104,7 +104,7 @@ pub struct PostProcessConfig {
     pub enforce_accel_coherence: bool,
     /// Differences of step 5.
     pub differences: Differences,
-    /// Step 6: replace vectors and style by their mean over neighbouring frames.
+    /// Step 6: replace vectors and style by their mean over neighboring frames.
     pub apply_smoothing: bool,
     /// Frames in that mean, odd.
     pub smoothing_kernel_size: usize,

@@ -114,7 +114,7 @@ mod tests {
             let (mut smoothed, mut plain) = (turning(), turning());
             smooth(&mut smoothed, 5, hemisphere);
             normalize(&mut plain, hemisphere);
-            // The mean of a symmetric neighbourhood on the arc is its centre.
+            // The mean of a symmetric neighborhood on the arc is its center.
             for t in 2..78 {
                 assert!(
                     read(&smoothed[t]).dot(read(&plain[t])).abs() > 1.0 - 1e-12,

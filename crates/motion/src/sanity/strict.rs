@@ -30,9 +30,9 @@ const PHASE_TOLERANCE: f64 = 0.01;
 
 /// Makes the checks of [`Profile::Strict`](super::Profile::Strict); none without measures.
 ///
-/// Means are checked in windows of the training phrases' length, an eighth of it apart. The worst
-/// window is reported, so a minute of dancing does not compensate five seconds of standing. Short
-/// phrases lack some measures and have wider bounds.
+/// Means are checked in windows of the training phrases' length, an eighth of a length apart. The
+/// worst window is reported, so a minute of dancing does not compensate five seconds of standing.
+/// Short phrases lack some measures and have wider bounds.
 pub(super) fn check(motion: &Phrase, training: &Statistics) -> Option<Report> {
     if training.movement.is_empty() {
         return None;

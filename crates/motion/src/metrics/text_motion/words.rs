@@ -154,7 +154,8 @@ impl WordVectors {
     /// The vectors `[words, width]` of distinct words, including `unk`.
     ///
     /// # Errors
-    /// If the values are not one finite vector per word, a word occurs twice, or `unk` is missing.
+    /// Fails if the values are not one finite vector per word, a word occurs twice, or `unk` is
+    /// missing.
     pub fn new(words: Vec<String>, values: Vec<f32>) -> Result<Self, WordVectorsError> {
         let refused = |found, expected| WordVectorsError { found, expected };
         let (count, width) = (words.len(), values.len() / words.len().max(1));
