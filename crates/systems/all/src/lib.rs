@@ -2,7 +2,7 @@
 //!
 //! A [`System`](kinegrad_train::System) defines its name, its recipes, its config tables, and how
 //! to validate, train, sample, evaluate and import weights. No other crate refers to a system by
-//! name: entry points take a list of [`Systems`] and find the system of a run by its recipe.
+//! name: entry points take a list of [`Systems`] and find a run's system by the recipe.
 
 use kinegrad_train::Systems;
 
@@ -15,7 +15,7 @@ pub const BUILT_IN: Systems<'static> = Systems(&[
     &kinegrad_text_motion::TextMotionSystem,
 ]);
 
-// The README's Rust is compiled as a doctest.
+// Compiles the README's Rust code as a doctest.
 #[cfg(doctest)]
 #[doc = include_str!("../../../../README.md")]
 struct Readme;

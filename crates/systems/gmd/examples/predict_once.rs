@@ -1,12 +1,12 @@
 //! Accuracy of a motion model at the end of sampling: held-out clips are noised to a timestep and
-//! predicted once, with the condition alone and under guidance.
+//! predicted once, with the condition only and with guidance.
 //!
 //! ```sh
 //! cargo run --release -p kinegrad-train --example predict_once -- runs/gmd_motion 0 20 100
 //! ```
 //!
-//! prints, for each timestep and scale, the mean distance of the root from the clip's and of the
-//! other joints about the root, and the jerk over that of the clips.
+//! For each timestep and scale, the example prints the mean distances from the clip, of the root
+//! and of the other joints relative to the root, and the ratio of the jerk to the clips' jerk.
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -83,7 +83,7 @@ fn report(run: &Path, timesteps: &[usize]) -> Result<(), Error> {
     Ok(())
 }
 
-/// A number of each frame of two motions.
+/// The number `of` a frame, for each frame of both motions.
 fn frames(a: &Joints, b: &Joints, of: impl Fn(&[[f64; 3]], &[[f64; 3]]) -> f64) -> Vec<f64> {
     (0..a.frames())
         .map(|t| of(a.frame(t), b.frame(t)))

@@ -50,8 +50,8 @@ pub struct GmdConfig {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GmdInitConfig {
-    /// Run or checkpoint of the same recipe, whose EMA weights, network, process, feature space and
-    /// statistics are used.
+    /// Run or checkpoint of the same recipe that provides EMA weights, network, process, feature
+    /// space and statistics.
     pub diffusion: PathBuf,
 }
 
@@ -62,15 +62,15 @@ pub struct GmdLossConfig {
     /// For motion models without a projection: the first four channels (root rotation, x, z and
     /// height) are weighted by the square of this factor (Guided Motion Diffusion, appendix C.1).
     pub trajectory_scale: f64,
-    /// Weight of the squared error of the differences between consecutive frames, beside that of
-    /// the frames: it penalises shaking. For `prediction_type = "sample"`; 0 in the paper. Small
-    /// models shake without it.
+    /// Weight of the squared error of differences between consecutive frames, which penalizes
+    /// shaking. For `prediction_type = "sample"`; 0 in the paper. Small models shake without this
+    /// term.
     pub velocity: f64,
-    /// Weight of the squared error of the joints' velocities in the world, metres per second, mean
-    /// over the joints. For motion models with `prediction_type = "sample"`; 0 in the paper.
+    /// Weight of the squared error of the joints' world velocities, in meters per second, mean over
+    /// the joints. For motion models with `prediction_type = "sample"`; 0 in the paper.
     pub joint_velocity: f64,
-    /// Weight of the squared speed of standing feet in the training clip (Human Motion Diffusion
-    /// Model, equation 5), mean over the four, like `joint_velocity`.
+    /// Weight of the squared speed of feet that stand in the training clip, mean over four foot
+    /// joints (Human Motion Diffusion Model, equation 5). Conditions as for `joint_velocity`.
     pub foot_contact: f64,
 }
 
@@ -85,23 +85,23 @@ impl Default for GmdLossConfig {
     }
 }
 
-/// The table `evaluation`: the settings of `kinegrad eval`, which takes goals from held-out clips.
+/// The table `evaluation`: settings of `kinegrad eval`, with goals from held-out clips.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GmdEvaluationConfig {
     /// Number of held-out clips, with one goal each.
     pub goals: usize,
-    /// The list that goals are taken from.
+    /// The list of clips that provide the goals.
     pub split: EvaluationSplit,
-    /// Batch size of sampling. Guidance divides by the keyframes of a batch.
+    /// Batch size of sampling. Guidance divides by the number of keyframes in a batch.
     pub batch_size: usize,
-    /// Evaluations, each with its own seed; the report has means and 95 % intervals of several.
-    /// The published evaluation has 20.
+    /// Number of evaluations with different seeds; the report of several has means and 95 %
+    /// intervals. The published evaluation uses 20.
     pub replications: usize,
     /// Number of held-out clips with several samples, for trajectory diversity and multimodality; 0
-    /// for neither. The published evaluation has 100.
+    /// omits both. The published evaluation uses 100.
     pub variety_clips: usize,
-    /// Number of samples of each.
+    /// Number of samples per such clip.
     pub variety_repeats: usize,
     /// Keyframes per goal.
     pub keyframes: usize,
@@ -109,10 +109,11 @@ pub struct GmdEvaluationConfig {
     pub keyframe_placement: KeyframePlacement,
     /// Obstacles per goal; if not 0, only the last frame is a keyframe.
     pub obstacles: usize,
-    /// Clearance around obstacles that guidance keeps, metres: the margin of the goals. The count
-    /// of frames inside ignores it.
+    /// Clearance of guidance around obstacles, in meters: the margin of the goals. The count of
+    /// frames inside obstacles ignores the margin.
     pub margin: f64,
-    /// A text-motion evaluator, for R-precision and FID: a run, or all files of the published one.
+    /// A text-motion evaluator, for R-precision and FID: a run, or all files of the published
+    /// evaluator.
     pub evaluator: EvaluatorFiles,
 }
 
@@ -134,11 +135,11 @@ impl Default for GmdEvaluationConfig {
     }
 }
 
-/// The clips of a dataset that goals are taken from.
+/// The clips of a dataset that provide goals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EvaluationSplit {
-    /// The clips of `data.humanml3d.validation_list`, or those held out by `data.validation`.
+    /// The clips of `data.humanml3d.validation_list`, or the clips held out by `data.validation`.
     Validation,
     /// The clips of `data.humanml3d.test_list`.
     Test,
@@ -227,7 +228,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     Ok(own.steering.validate().within("steering")?)
 }
 
-/// Validates the first stage's sampler; the error names its own keys.
+/// Validates the first stage's sampler; the error names the keys of the first stage.
 fn must_suit_first_stage(own: &GmdConfig, sampling: &SamplingConfig) -> Result<(), InvalidSetting> {
     let process = &own.diffusion;
     let first = own.steering.first_stage(&sampling.sampler);

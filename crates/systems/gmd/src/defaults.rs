@@ -65,7 +65,7 @@ max_steps = 62500
 clip = "six"
 "#;
 
-/// The defaults of a recipe that differ from those of the tables.
+/// The defaults of a recipe that differ from the tables' defaults.
 pub(super) fn of_recipe(recipe: &RecipeInfo, given: &Table) -> Table {
     let own = match RecipeName::named(recipe.name) {
         Some(RecipeName::Motion) => GMD_MOTION,
@@ -75,7 +75,7 @@ pub(super) fn of_recipe(recipe: &RecipeInfo, given: &Table) -> Table {
     let parse = |text: &str| text.parse::<Table>().expect("text of this file");
     let mut table = parse(GMD);
     lay_over(&mut table, parse(own));
-    // The size is one of this kind's; another brings its own.
+    // The default size belongs to this kind; another kind has another default size.
     let kind = given.get("model").and_then(|model| model.get("kind"));
     if kind.is_some_and(|kind| kind.as_str() != Some(GmdUnetConfig::KIND)) {
         table.remove("model");

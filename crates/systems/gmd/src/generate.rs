@@ -1,7 +1,7 @@
 //! Generating clips from checkpoints, with or without goals.
 //!
 //! Two-stage sampling (Guided Motion Diffusion, appendix F): a trajectory model generates a ground
-//! path for the goal; the motion model generates motion along that path, with imputation and
+//! path for the goal; the motion model generates motion along the ground path, with imputation and
 //! guidance in every frame. Rotation and height are not constrained.
 
 mod once;
@@ -35,7 +35,7 @@ use super::stage::{StageModel, StageSteering};
 use super::steering::{Padding, SteeringConfig};
 use crate::network::TextDenoiser;
 
-/// The key of a clip's noise, and its number among the clips of that key.
+/// The key of a clip's noise, and the clip's index among clips with the same key.
 pub type NoiseKey = (Key, u64);
 
 pub(super) fn keys(seed: u64, count: usize) -> impl Iterator<Item = NoiseKey> {
@@ -46,7 +46,7 @@ pub(super) fn keys(seed: u64, count: usize) -> impl Iterator<Item = NoiseKey> {
 /// A request for one clip.
 #[derive(Clone, Debug)]
 pub struct ClipRequest {
-    /// Its frames, at least 1; with a goal, the goal's number is used.
+    /// Number of frames, at least 1; a goal's number of frames takes precedence.
     pub frames: usize,
     /// Position control of the root.
     pub goal: Option<Goal>,
@@ -63,7 +63,7 @@ impl ClipRequest {
 /// One clip.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct GeneratedClip {
-    /// Its features, absolute or relative as the run's are; none of a trajectory model.
+    /// The clip's features, with the root representation of the run; `None` for a trajectory model.
     pub features: Option<Features>,
     /// The root's ground position in each frame, x and z in metres.
     pub ground: Vec<[f64; 2]>,
@@ -96,7 +96,7 @@ struct Stage<'a> {
     texts: &'a [Option<&'a ClipText>],
     /// One per clip, or none.
     goals: &'a [Goal],
-    /// The paths of a first stage, one per clip: of the sampled length, or of the clip's.
+    /// The paths of a first stage, one per clip, with the sampled length or the clip's length.
     paths: Option<&'a [Vec<[f64; 2]>]>,
     frames: usize,
     lengths: &'a [usize],
@@ -105,7 +105,7 @@ struct Stage<'a> {
     keys: &'a [NoiseKey],
 }
 
-/// Sampled frames for clips of `frames` frames: those of training, or more if requested.
+/// Number of sampled frames for clips of `frames` frames: at least the training length.
 pub(super) fn sampled_frames(config: &Config, frames: usize) -> usize {
     frames.max(config.data.target_frames)
 }
@@ -161,13 +161,13 @@ impl ClipGenerator {
         &self.config().own::<GmdConfig>().steering
     }
 
-    /// Generates the clips of `requests` as one batch, after their ground paths by `trajectory` if
-    /// it is given. A clip depends on its key, its request and the sampled number of frames; one
-    /// with a goal also on the number of keyframes of its batch, the divisor of the published
-    /// guidance. `on_step` gets the stage, `trajectory` or `motion`.
+    /// Generates the clips of `requests` as one batch. The model `trajectory`, if given, first
+    /// generates ground paths. A clip depends on its key, its request and the sampled number of
+    /// frames. A clip with a goal also depends on its batch's number of keyframes, the divisor of
+    /// the published guidance. `on_step` gets the stage, `trajectory` or `motion`.
     ///
-    /// At least the training length is sampled, and the rest is cut off: shorter noise would give
-    /// the network more padding than in training (docs/sources.md, section 4.13).
+    /// Samples have at least the training length and are cut to the requested length: shorter noise
+    /// would give the network more padding than in training (docs/sources.md, section 4.13).
     ///
     /// # Errors
     /// For a goal, setting or text that one of the models does not support.
@@ -199,13 +199,13 @@ impl ClipGenerator {
         let mut paths = None;
         if let (Some(model), false) = (trajectory, goals.is_empty()) {
             self.must_match(model)?;
-            // If the motion model samples the padding, it follows a path there too.
+            // A motion model that samples the padding follows a path in the padding too.
             let follows_behind = steering.padding == Padding::Sampled;
             let followed = if follows_behind { own } else { frames };
             let named = |(key, number): &NoiseKey| (key.named("trajectory"), *number);
             let keys: Vec<NoiseKey> = keys.iter().map(named).collect();
-            // The first stage is clipped and padded according to its own run, except for a path
-            // that is followed everywhere.
+            // The first stage's own run determines its clamping and padding, except if the second
+            // stage follows the path in the padding.
             let first = SamplingConfig {
                 clip: model.config().sampling.clip,
                 sampler: steering.first_stage(&sampling.sampler),
@@ -260,7 +260,7 @@ impl ClipGenerator {
         Ok(samples.map(|(sample, length)| sample.cut(length)).collect())
     }
 
-    /// Rejects a trajectory model of other clips, or before another trajectory model.
+    /// Rejects a trajectory model of other clips, or a trajectory model as the second stage.
     fn must_match(&self, trajectory: &Self) -> Result<(), Error> {
         let (own, other) = (self.config(), trajectory.config());
         let same = (own.data.humanml3d.skeleton, own.data.humanml3d.root)
@@ -276,7 +276,7 @@ impl ClipGenerator {
         ))
     }
 
-    /// Motion in the network's space, steered to the goals if there are any.
+    /// Motion in the network's space, steered to optional goals.
     fn sampled(
         &self,
         stage: Stage<'_>,
@@ -310,7 +310,7 @@ impl ClipGenerator {
         let data = TensorData::new(text, [batch, self.text.channels(), 1]);
         let cond = Tensor::from_data(data, &self.device);
         let sampler = SamplerConfig {
-            // Without any text both passes of the guidance are the same one.
+            // Without any text, both passes of the guidance are equal.
             guidance_scale: match texts.iter().any(Option::is_some) {
                 true => sampling.sampler.guidance_scale,
                 false => 0.0,
@@ -325,7 +325,7 @@ impl ClipGenerator {
         };
         let plain = Padded::new(&self.plain, &self.diffusion, &lengths, &start);
         if stage.goals.is_empty() {
-            // Each clip equals the one sampled alone, to the bit.
+            // Each clip equals the clip sampled alone, to the bit.
             let x = batch_invariant(batch, || {
                 sample(
                     &self.diffusion,

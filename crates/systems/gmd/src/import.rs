@@ -55,8 +55,8 @@ impl Architecture {
     }
 }
 
-/// Reads published weights and writes them as the only checkpoint of a run, for sampling and
-/// initialisation; it has no optimiser to resume with.
+/// Reads published weights and writes a run with one checkpoint, for sampling and initialization.
+/// Training cannot resume: the checkpoint has no optimizer state.
 pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
     let hint = "give option `mean M.npy` and option `std S.npy`, those that the model was trained with: for an \
                 absolute root Mean_abs_3d.npy and Std_abs_3d.npy, for option `arch mdm` Mean.npy and Std.npy";
@@ -102,7 +102,7 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
     })
 }
 
-/// The tensors of the file's averaged weights, of its last ones, or of a bare state dict, by name.
+/// Tensors by name: the file's averaged weights, its last weights, or a bare state dict.
 fn read_weights(
     path: &Path,
     last: bool,
@@ -124,7 +124,7 @@ fn read_weights(
 /// The network according to the shapes of the weights.
 struct Sizes {
     channels: usize,
-    /// The network, and the name of the size that its keys start from.
+    /// The network, and the name of its base size.
     network: Backbone,
     size: &'static str,
 }
@@ -166,7 +166,8 @@ impl Sizes {
         })
     }
 
-    /// The number of heads is that of the published model: no shape depends on it.
+    /// The number of heads is the published model's, because no weight shape depends on the number
+    /// of heads.
     fn of_mdm(request: &ImportRequest, tensors: &BTreeMap<String, Tensor>) -> Result<Self, Error> {
         let lacking = |name| request.lacking(name, "the Human Motion Diffusion Model's encoder");
         let size = |name, axis| size(tensors, name, axis).ok_or_else(|| lacking(name));
@@ -189,29 +190,29 @@ impl Sizes {
     }
 }
 
-/// Smallest ratio of the deviations of the root's position and its displacement to the next frame:
-/// tens in clips that walk and in the published statistics.
+/// Smallest ratio between the standard deviations of the root's position and of its displacement
+/// per frame. Walking clips and the published statistics have ratios in the tens.
 const PLACES_TO_STEPS: f64 = 3.0;
 
-/// Largest deviation of the displacement to the next frame, as a share of the root's height: 9 cm,
+/// Largest standard deviation of the displacement per frame, relative to the root's height: 9 cm,
 /// nearly 2 m/s.
 const LARGEST_STEP: f64 = 0.1;
 
-/// Deviations of the root's ground channels and of its displacement to the next frame, which are
-/// alike for a relative root. The other channels are the same for both roots.
+/// Standard deviations of the root's ground channels and of its displacement per frame; both are
+/// similar for a relative root. Other channels do not depend on the root's representation.
 fn ground_and_step(std: &[f64], layout: FeatureLayout) -> [f64; 2] {
     let x = layout.velocities().start;
     [std[1].max(std[2]), std[x].max(std[x + 2])]
 }
 
-/// True for statistics of features with relative root; false also for those of no body, such as all
-/// ones.
+/// True for statistics of features with relative root. False also for statistics of no body, such
+/// as all ones.
 fn is_relative(mean: &[f64], std: &[f64], layout: FeatureLayout) -> bool {
     let [ground, step] = ground_and_step(std, layout);
     ground < PLACES_TO_STEPS * step && ground < LARGEST_STEP * mean[3].abs()
 }
 
-/// True for deviations of features with absolute root.
+/// True for standard deviations of features with absolute root.
 fn is_absolute(std: &[f64], layout: FeatureLayout) -> bool {
     let [ground, step] = ground_and_step(std, layout);
     ground > PLACES_TO_STEPS * step
@@ -282,7 +283,7 @@ mod tests {
 
     use super::*;
 
-    /// Statistics of walks whose root is read so.
+    /// Statistics of walks with this representation of the root.
     fn walks(root: Root) -> Statistics {
         let mut config = DataConfig {
             kind: DataKind::SyntheticWalks,
@@ -302,7 +303,7 @@ mod tests {
         let layout = FeatureLayout::of_channels(263).unwrap();
         let [relative, absolute] = [Root::Relative, Root::Absolute].map(walks);
         assert_eq!(relative.mean[3..], absolute.mean[3..]);
-        // Both may be divided by the published weight of the root.
+        // Published deviations may be divided by the weight of the root.
         for factor in [1.0, 5.0] {
             let found = |statistics: &Statistics| {
                 let mut std = statistics.std.clone();
@@ -315,7 +316,7 @@ mod tests {
         assert!(is_absolute(&absolute.std, layout));
         assert!(!is_absolute(&relative.std, layout));
         assert!(!is_absolute(&[1.0; 263], layout));
-        // Of no body.
+        // Statistics of no body.
         assert!(!is_relative(&[0.0; 263], &[1.0; 263], layout));
         assert!(!is_relative(&[1.0; 263], &[1.0; 263], layout));
     }

@@ -1,8 +1,8 @@
 //! Guided Motion Diffusion: clips of joint features conditioned on text, with position control
 //! (docs/sources.md, section 4).
 //!
-//! Recipe `gmd_motion` trains the motion model, `gmd_trajectory` the model of the root path that is
-//! used in the first stage.
+//! Recipe `gmd_motion` trains the motion model. Recipe `gmd_trajectory` trains the first stage's
+//! model of the root path.
 
 mod config;
 mod defaults;

@@ -49,7 +49,7 @@ pub fn text_denoiser(
     })
 }
 
-/// The parameters of a config's denoiser, of which the matrix of its space is not trained.
+/// The parameters of a config's denoiser; the matrix of the denoiser's space is not trained.
 pub(super) fn parameters_in_space(config: &Config) -> Result<ParameterCount, Error> {
     let infos = parameters::infos(&model_in_space(config, &Device::flex())?);
     let is_trained = |index: usize| infos[index].name != MATRIX;
@@ -99,7 +99,7 @@ pub(super) fn projection_of(
 pub struct TrainedClips {
     /// The network.
     pub model: TextDenoiser,
-    /// The projection of its space, if there is one.
+    /// The projection of the network's space, if any.
     pub projection: Option<EmphasisProjection>,
     /// Config, step and statistics.
     pub state: State,
@@ -115,7 +115,7 @@ impl TrainedClips {
         let state = saved.state.clone();
         let values = saved.weights(weights)?;
         let mut model = text_denoiser(&state.config, channels, device)?;
-        // The stored matrix, not that of the config.
+        // Uses the stored matrix instead of the config's matrix.
         let matrix = values.iter().find(|p| p.info.name == MATRIX);
         let mut projection = None;
         if let Some(matrix) = matrix {
@@ -133,7 +133,7 @@ impl TrainedClips {
     }
 }
 
-/// The averaged weights of `start`, in its space, on an autodiff device.
+/// The averaged weights of `start`, in the space of `start`, on an autodiff device.
 pub(super) fn started(
     start: &Start,
     config: &Config,
@@ -156,5 +156,5 @@ pub(super) fn started(
     Ok(parameters::replace(fresh, weights))
 }
 
-/// Tables that a run inherits from its start.
+/// Tables that a run inherits from its initial checkpoint.
 pub(super) const INHERITED: [&str; 4] = ["model", "text", "diffusion", "emphasis"];

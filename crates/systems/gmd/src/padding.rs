@@ -3,8 +3,8 @@
 use burn::tensor::{Tensor, TensorData};
 use kinegrad_diffusion::{Denoiser, GaussianDiffusion, PredictionType, Time};
 
-/// A network that pads clips as in training: after a clip's last frame its input is noised zeros of
-/// normalised motion, and its output is replaced by zeros.
+/// A network that pads clips as in training. After a clip's last frame, the network's input is
+/// noised zeros of normalized motion, and its output is replaced by zeros.
 pub struct Padded<'a, D> {
     network: &'a D,
     diffusion: &'a GaussianDiffusion,
@@ -14,7 +14,8 @@ pub struct Padded<'a, D> {
 }
 
 impl<'a, D> Padded<'a, D> {
-    /// `network` for clips of these `lengths`, sampled as `frames` frames. `like` is on its device.
+    /// `network` for clips of these `lengths`, sampled as `frames` frames. `like` is on the
+    /// network's device.
     pub fn new(
         network: &'a D,
         diffusion: &'a GaussianDiffusion,
@@ -77,7 +78,8 @@ mod tests {
 
     use super::*;
 
-    /// Answers every frame with the mean of all, which a padding that it is not to see would change.
+    /// Predicts the mean of all frames for every frame, so visible padding would change the
+    /// prediction.
     struct Mean;
 
     impl Denoiser for Mean {
@@ -111,7 +113,7 @@ mod tests {
         GaussianDiffusion::new(&config).unwrap()
     }
 
-    /// The clean motion that is predicted of `x_t`, `[3, 2, 8]`.
+    /// The clean motion predicted from `x_t`, `[3, 2, 8]`.
     fn x_start(
         network: &impl Denoiser<Cond = Tensor<3>>,
         kind: PredictionType,

@@ -28,7 +28,7 @@ impl RecipeName {
         Self::named(&config.train.recipe).expect("a recipe of this system")
     }
 
-    /// The recipe of that name; `None` if it is of another system.
+    /// The recipe with this name; `None` for recipes of other systems.
     pub fn named(name: &str) -> Option<Self> {
         let all = [Self::Motion, Self::Trajectory];
         all.into_iter().find(|recipe| recipe.name() == name)

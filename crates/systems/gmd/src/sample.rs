@@ -121,7 +121,7 @@ impl<'a> Clips<'a> {
         let config = trained.config();
         let skeleton = config.data.humanml3d.skeleton.skeleton();
         let fps = skeleton.description().fps;
-        // Each with its file, for warnings.
+        // Each goal has its file, for warnings.
         let mut goals = Vec::new();
         for GoalCondition { file, .. } in request.goals() {
             let (goal, digest) = read_goal(file)?;
@@ -227,7 +227,7 @@ impl<'a> Clips<'a> {
         record
     }
 
-    /// A clip on its path, with its record.
+    /// A clip that follows its path, with the record.
     fn finished(
         &self,
         sample: GeneratedClip,
@@ -267,7 +267,8 @@ impl Sampler for Clips<'_> {
         }
     }
 
-    /// Goals are numbered through, as the guidance of each depends on the keyframes of all.
+    /// Goals have consecutive numbers, because the guidance of each goal depends on the keyframes
+    /// of all goals.
     fn is_one_batch(&self) -> bool {
         self.jobs.iter().all(|job| job.name.is_none())
     }
@@ -315,7 +316,7 @@ impl Sampler for Clips<'_> {
     }
 }
 
-/// The path as a goal with a position for each frame, from the origin.
+/// The path as a goal with one position per frame, starting at the origin.
 fn along(path: &FollowedPath) -> Goal {
     let points = path.target.at_origin().course.points;
     Goal {
@@ -327,7 +328,7 @@ fn along(path: &FollowedPath) -> Goal {
     }
 }
 
-/// The trajectory model of a checkpoint, beside the motion model `trained`.
+/// The trajectory model of a checkpoint, for the motion model `trained`.
 pub(super) fn trajectory_model(
     trained: &TrainedModel,
     saved: SavedCheckpoint,

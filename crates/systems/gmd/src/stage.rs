@@ -24,7 +24,8 @@ impl Objective for GroundObjective<'_> {
         let positions = positions.swap_dims(1, 2).try_into_vec_as::<f32>();
         let positions = positions.expect("samples are float32").into_iter();
         let positions: Vec<f64> = positions.map(f64::from).collect();
-        // A few thousand numbers and branches: on the host and in double precision.
+        // Runs on the host in double precision: the loss has only a few thousand numbers, and
+        // branches.
         let (_, gradient) = self.loss.evaluate(&positions);
         let gradient: Vec<f32> = gradient.into_iter().map(|value| value as f32).collect();
         let device = pred_original_sample.device();
@@ -37,13 +38,13 @@ impl Objective for GroundObjective<'_> {
 /// The model of a stage.
 #[derive(Clone, Copy, Debug)]
 pub struct StageModel<'a> {
-    /// Its space.
+    /// The network's space.
     pub space: &'a FeatureSpace,
-    /// Its channels.
+    /// The network's channels.
     pub channels: usize,
-    /// True for a motion model, whose imputation may end at another timestep.
+    /// True for a motion model; its imputation may end at another timestep.
     pub of_motion: bool,
-    /// Sampled frames, at least those of the longest goal.
+    /// Number of sampled frames, at least the length of the longest goal.
     pub frames: usize,
     /// The device without gradients.
     pub device: &'a Device,
@@ -57,17 +58,17 @@ pub struct StageSteering<'a> {
     objective: GroundObjective<'a>,
     scale: f64,
     of_motion: bool,
-    /// True if single frames are targets: imputing them to the end would make the motion jump.
+    /// True if single frames are targets: imputation until the end would make the motion jump.
     of_points: bool,
     dense: KnownPositions,
     points: KnownPositions,
 }
 
-/// Positions to impute in metres and their mask, `[batch, channels, frames]`.
+/// Positions to impute in meters, and their mask, `[batch, channels, frames]`.
 type KnownPositions = [Tensor<3>; 2];
 
 impl<'a> StageSteering<'a> {
-    /// Steers to the positions of `goals`: the stage of a trajectory model, or the only one.
+    /// Steers to the positions of `goals`, in a trajectory model's stage or in the only stage.
     ///
     /// # Errors
     /// If a goal is not valid or longer than the motion.
@@ -92,14 +93,14 @@ impl<'a> StageSteering<'a> {
         })
     }
 
-    /// Steers the second stage along the `paths` of the first, one per goal, in every frame, and
-    /// around the goals' obstacles.
+    /// Steers the second stage along the first stage's `paths` in every frame, one path per goal,
+    /// and around the goals' obstacles.
     ///
     /// # Errors
     /// As [`of_goals`](Self::of_goals).
     ///
     /// # Panics
-    /// Unless each goal has one path of at most the model's frames.
+    /// If a goal has no path, or a path is longer than the model's frames.
     pub fn along(
         config: &'a SteeringConfig,
         goals: &[Goal],

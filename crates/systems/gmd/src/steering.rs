@@ -12,12 +12,12 @@ use serde_json::{Value, to_value};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Padding {
-    /// Noised zeros of normalised motion, as in training: the network infers the length of the clip
-    /// from them.
+    /// Noised zeros of normalized motion, as in training; the network infers the clip's length from
+    /// the zeros.
     #[default]
     Zeros,
-    /// Padding is sampled as motion and cut off, as in the published program of GMD: for models
-    /// whose training clips were never shorter than `data.target_frames`.
+    /// Padding is sampled as motion and cut off, as in GMD's published program. For models with no
+    /// training clips shorter than `data.target_frames`.
     Sampled,
 }
 
@@ -28,25 +28,25 @@ pub struct SteeringConfig {
     /// The padding of clips that are shorter than the sampled length, for recipes `gmd_motion` and
     /// `gmd_trajectory`.
     pub padding: Padding,
-    /// Strength s of the classifier guidance, 100 to 200 in the paper; 0 guides nothing.
+    /// Strength s of the classifier guidance, 100 to 200 in the paper; 0 disables guidance.
     pub scale: f64,
     /// Largest shift of a frame by guidance in one step, over all channels of the network's space,
-    /// in standard deviations of the step's noise. Unset, the shift is not limited, which with few
-    /// steps and a large scale makes some motions diverge. Not in the paper.
+    /// in standard deviations of the step's noise. Omitted: no limit; with few steps and a large
+    /// scale, some motions then diverge. Not in the paper.
     pub max_shift: Option<f64>,
     /// Impute known positions.
     pub imputation: bool,
-    /// Guide the second stage along the path of the first, in addition to imputation, as in the
-    /// published demonstration; the published evaluation does not.
+    /// Guide the second stage along the first stage's path, in addition to imputation. The
+    /// published demonstration guides the second stage; the published evaluation does not.
     pub second_stage_guidance: bool,
-    /// Denoising steps of the first stage, whose model is small: paths of few steps shake. Omitted:
-    /// those of the second.
+    /// Denoising steps of the first stage; paths of few steps shake, and the first stage's model is
+    /// small. Omitted: the second stage's steps.
     pub first_stage_steps: Option<usize>,
-    /// Classifier-free guidance scale of the first stage. Omitted: that of the second.
+    /// Classifier-free guidance scale of the first stage. Omitted: the second stage's scale.
     pub first_stage_guidance_scale: Option<f64>,
     /// The loss whose gradient guides.
     pub guidance: GuidanceConfig,
-    /// The timesteps at which positions act.
+    /// The timesteps at which imputation and guidance act.
     pub schedule: GuidanceSchedule,
 }
 
@@ -67,7 +67,7 @@ impl Default for SteeringConfig {
 }
 
 impl SteeringConfig {
-    /// The sampler of the first of two stages, where `sampler` is that of the second.
+    /// The sampler of the first stage; `sampler` is the second stage's sampler.
     pub fn first_stage(&self, sampler: &SamplerConfig) -> SamplerConfig {
         let mut first = sampler.clone();
         let scale = &mut first.guidance_scale;

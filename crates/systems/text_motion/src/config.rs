@@ -52,7 +52,7 @@ pub enum TextMotionNetwork {
 }
 
 impl TextMotionNetwork {
-    /// Its sizes.
+    /// Sizes of the network.
     pub fn sizes(&self) -> &TextMotionSizes {
         let Self::TextMotion(sizes) = self;
         sizes
@@ -69,8 +69,9 @@ impl Default for TextMotionNetwork {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct WordsConfig {
-    /// Word vectors as safetensors (docs/dataset.md). Without them every word has a random vector,
-    /// which distinguishes words without their meaning: enough for few captions.
+    /// Word vectors as safetensors (docs/dataset.md). Without a file, every word has a random
+    /// vector. Random vectors distinguish words without their meaning, which suffices for few
+    /// captions.
     pub vectors: PathBuf,
     /// Width of a vector without a file.
     pub width: usize,
@@ -89,7 +90,7 @@ impl Default for WordsConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TextMotionLossConfig {
-    /// Smallest distance of captions from the motions of other clips without a loss.
+    /// Distance of a caption from other clips' motions beyond which the loss is zero.
     pub margin: f64,
 }
 

@@ -1,5 +1,4 @@
-//! A text-motion evaluator: of published files or of a run, and the embeddings of clips and
-//! captions.
+//! A text-motion evaluator from published files or a run, and its embeddings of clips and captions.
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use kinegrad_data::humanml::read_word_vectors;
@@ -16,7 +15,7 @@ use super::TextMotionTables;
 use super::load::{encoders, word_vectors};
 use crate::network::{PARTS, TextMotionConfig, TextMotionEncoders, UNIT_FRAMES};
 
-/// Frames that the published evaluator is trained with.
+/// Number of frames in the published evaluator's training.
 const PUBLISHED_FRAMES: usize = 196;
 
 const GROUP: usize = 32;
@@ -26,16 +25,16 @@ pub struct TextMotion {
     encoders: TextMotionEncoders,
     statistics: Statistics,
     words: WordVectors,
-    /// Shorter clips are padded to the frames of training, with zeros after normalisation.
+    /// Training length; shorter clips are padded with zeros after normalization.
     padded_frames: usize,
     device: Device,
 }
 
 impl TextMotion {
-    /// Reads the published evaluator onto `device`, which has no gradients.
+    /// Reads the published evaluator onto `device`, a device without gradients.
     ///
     /// # Errors
-    /// If a file cannot be read, or its contents do not fit.
+    /// If a file cannot be read, or has unsuitable contents.
     pub fn read(files: &EvaluatorFiles, device: &Device) -> Result<Self, Error> {
         let mut tensors = read_tensors(&files.weights)?;
         tensors.retain(|name, _| PARTS.iter().any(|part| name.starts_with(part)));
@@ -66,8 +65,8 @@ impl TextMotion {
         Self::new(encoders, statistics, words, padded_frames, device)
     }
 
-    /// The evaluator of these parts, the encoders on `device`; statistics and frames are those of
-    /// their training, with relative root.
+    /// The evaluator of these parts, with the encoders on `device`. Statistics (with relative root)
+    /// and number of frames come from the encoders' training.
     ///
     /// # Errors
     /// [`Error::Usage`] for parts that do not fit each other; [`Error::Features`] for statistics of
@@ -177,8 +176,8 @@ impl TextMotionEvaluator for TextMotion {
     }
 }
 
-/// Embeddings of items of `lengths`, in order. Items of similar length and equal `padded` length
-/// are encoded in one batch, from their indices, lengths and that padded length.
+/// Embeddings of items of `lengths`, in order. A batch has items of similar length and equal
+/// `padded` length; `encode` gets indices, lengths and the padded length.
 fn in_groups(
     lengths: &[usize],
     padded: impl Fn(usize) -> usize,

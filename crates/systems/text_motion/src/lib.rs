@@ -1,8 +1,8 @@
 //! Text-motion evaluators: encoders of clips and captions whose embeddings are close if the caption
 //! describes the clip (docs/sources.md, section 4.12).
 //!
-//! Recipe `text_motion` trains them on a dataset of clips for which there is no published evaluator.
-//! [`TextMotion`] is an evaluator of such a run or of published weights.
+//! Recipe `text_motion` trains the encoders on a dataset of clips without a published evaluator.
+//! [`TextMotion`] is an evaluator from such a run or from published weights.
 
 mod config;
 mod evaluate;

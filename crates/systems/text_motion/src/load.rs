@@ -11,7 +11,7 @@ use kinegrad_train::memory::Footprint;
 use super::{TextMotionTables, WordsConfig};
 use crate::network::{TextMotionConfig, TextMotionEncoders};
 
-/// Channels of a frame that the encoders read: all but the contact flags.
+/// Channels of a frame that the encoders read: all channels except the contact flags.
 pub(super) fn channels(config: &Config) -> usize {
     let skeleton = config.data.humanml3d.skeleton.skeleton();
     skeleton.layout().contacts().start

@@ -7,8 +7,8 @@
 //!
 //! d is the Euclidean distance of the embeddings of a caption and a motion. The published program
 //! (Guo et al. 2022, section 5) uses one other motion per caption and trains the movement encoder
-//! first; here all pairs of the batch are used, and a caption belongs to all clips with the captions of
-//! its clip or the same sentence.
+//! first. This recipe uses all pairs of the batch. A caption and a clip belong together if the clip
+//! has the same captions or the same sentence.
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use kinegrad_data::{Batch, CAPTIONS, Condition, WORDS};
@@ -44,7 +44,7 @@ impl ContrastiveRecipe {
 }
 
 /// The two terms, for embeddings `[batch, width]` of captions and motions. Caption i and motion j
-/// are a positive pair where `positive[i * batch + j]`.
+/// are a positive pair if `positive[i * batch + j]`.
 fn contrast(
     texts: Tensor<2>,
     motions: Tensor<2>,
@@ -88,7 +88,7 @@ fn texts(model: &TextMotionEncoders, batch: &Batch, device: &Device) -> Tensor<2
     model.texts(Tensor::from_data(vectors, device), classes, &lengths)
 }
 
-/// For each pair of clips, true if their captions are the same, or the one drawn for both.
+/// For each pair of clips, true if the clips have the same captions, or the same sampled caption.
 fn positive(batch: &Batch) -> Vec<bool> {
     let captions = &condition(batch, CAPTIONS).values;
     let words = condition(batch, WORDS);
@@ -144,7 +144,7 @@ mod tests {
         let motions = embeddings([1.0, 0.0, 3.0, 4.0, 0.0, 2.0]);
         let positive = [true, false, true, false, true, false, true, false, true];
         let [(_, near), (_, apart)] = contrast(texts, motions, &positive, 6.0);
-        // 1, 4 of caption 0 and again of caption 2, and 0.
+        // The distances are 1 and 4 for captions 0 and 2, and 0.
         let near = near.into_scalar::<f32>();
         assert!((near - 10.0 / 5.0).abs() < 1e-5, "{near}");
         // Caption 0 and 2 to motion 1: 6 - 5. Caption 1 to motions 0 and 2: 6 - sqrt(20), sqrt(13).
@@ -164,8 +164,8 @@ mod tests {
             channels,
             frames: 1,
         };
-        // Clips 0 and 1 have different captions and the same sentence; clip 2 has the captions of
-        // clip 0 and another sentence.
+        // Clips 0 and 1 have different captions and the same sentence. Clip 2 has clip 0's captions
+        // and another sentence.
         let batch = Batch {
             x_start: vec![0.0; 3],
             conditions: vec![

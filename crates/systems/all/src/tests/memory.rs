@@ -1,4 +1,4 @@
-//! What networks need.
+//! Memory of networks.
 
 use crate::BUILT_IN;
 
@@ -18,7 +18,7 @@ fn the_coherent_fit_of_long_phrases_counts() {
         (longer.activations, longer.shared),
         (2 * long.activations, 2 * long.shared)
     );
-    // The fit is computed once per batch and is small compared with an item.
+    // The memory of the fit is used once per batch and is small compared with an item.
     let [one, two] = [1, 2].map(|items| long.of_sampling(items, false, true));
     assert!(
         long.shared > 0 && 4 * long.shared < (two - one) / 10,

@@ -25,7 +25,7 @@ use crate::{ClipGenerator, ClipRequest, GeneratedClip, GmdConfig};
 
 const DIVERSITY_PAIRS: usize = 200;
 
-/// Divisions of the held-out clips into halves, over which the distance is averaged.
+/// Number of divisions of the held-out clips into halves; the distance is the mean over divisions.
 const DIVISIONS: u64 = 20;
 
 pub(super) struct GoalEvaluation<'a> {
@@ -34,7 +34,7 @@ pub(super) struct GoalEvaluation<'a> {
     pub held_out: &'a [Arc<Clip>],
     pub labels: &'a ClipLabels,
     pub generator: &'a ClipGenerator,
-    /// Generates the ground paths of the first of two stages.
+    /// Generates the ground paths of the first stage.
     pub trajectory: Option<&'a ClipGenerator>,
 }
 
@@ -50,9 +50,9 @@ impl GoalEvaluation<'_> {
         self.generator.config().own()
     }
 
-    /// Generates a clip for each held-out clip and computes their metrics, in every replication.
-    /// The sample of a clip depends on the seed, its id and, with goals, on the batch that it is
-    /// generated in.
+    /// Generates a clip for each held-out clip and computes the metrics, in every replication. A
+    /// sample depends on the seed and the held-out clip's id; with goals, also on the sample's
+    /// batch.
     pub fn run(&self, on_step: &mut OnStep<'_>) -> Result<Results, Error> {
         let settings = &self.own().evaluation;
         let count = settings.replications;
@@ -117,7 +117,7 @@ impl GoalEvaluation<'_> {
         })
     }
 
-    /// `repeats` samples for each of the clips and their goals, in batches.
+    /// `repeats` samples for each clip and its goal, in batches.
     fn sample(
         &self,
         clips: &[(&Arc<Clip>, &Goal)],
@@ -153,7 +153,7 @@ impl GoalEvaluation<'_> {
         let goals: Vec<Goal> = goals.collect();
         let clips: Vec<(&Arc<Clip>, &Goal)> = held_out.iter().zip(&goals).collect();
         let samples = self.sample(&clips, 1, seed, on_step)?;
-        // Evenly from all clips, because neighbours are of one kind.
+        // Evenly spaced clips, because neighboring clips are similar.
         let count = settings.variety_clips.min(clips.len());
         let varied = (0..count).map(|index| clips[index * clips.len() / count]);
         let varied: Vec<_> = varied.collect();
@@ -184,7 +184,7 @@ impl GoalEvaluation<'_> {
         Ok(Replication {
             samples: samples.report(self.generator, &goals, &real),
             real: GoalReport {
-                // In place of the distance from itself, which is 0.
+                // Replaces the real motion's distance from itself, which is 0.
                 frechet_distance: between_halves(&real.features, seed),
                 ..real.report(self.generator, &goals, &real)
             },
@@ -194,8 +194,8 @@ impl GoalEvaluation<'_> {
     }
 }
 
-/// The mean distance between two halves of the feature vectors, over [`DIVISIONS`] random divisions:
-/// neighbours in a list are often of one take.
+/// The mean distance between two halves of the feature vectors, over [`DIVISIONS`] random
+/// divisions, because neighbors in a list are often from one take.
 fn between_halves(features: &[Vec<f64>], seed: u64) -> Option<f64> {
     let key = Key::new(seed, Purpose::Halves);
     let distance = |division| {
@@ -212,13 +212,13 @@ fn between_halves(features: &[Vec<f64>], seed: u64) -> Option<f64> {
     Some(distances?.iter().sum::<f64>() / DIVISIONS as f64)
 }
 
-/// Generated or real clips of the lengths of their goals.
+/// Generated or real clips, as long as their goals.
 struct Measured<'a> {
     samples: &'a [GeneratedClip],
     /// Empty for a trajectory model.
     clips: Vec<Features>,
     joints: Vec<Joints>,
-    /// Of each clip, for diversity and Fréchet distance ([`mean_positions`]).
+    /// [`mean_positions`] of each clip, for diversity and Fréchet distance.
     features: Vec<Vec<f64>>,
 }
 
@@ -253,7 +253,7 @@ impl<'a> Measured<'a> {
     }
 }
 
-/// The mean over time of each joint's position relative to the root, which the goal determines.
+/// The mean over time of each joint's position relative to the root. The goal determines the root.
 fn mean_positions(features: &Features) -> Vec<f64> {
     let frames = features.frames();
     let body = features.layout().positions();
@@ -270,7 +270,7 @@ mod tests {
 
     #[test]
     fn halves_are_random() {
-        // Every number twice, side by side, as mirrored or neighbouring clips of a take are.
+        // Each number occurs twice in a row, like mirrored or neighboring clips of a take.
         let normals = Key::new(4, Purpose::Synthetic).normals(60);
         let pairs = normals.iter().flat_map(|&value| [f64::from(value); 2]);
         let features: Vec<Vec<f64>> = pairs.map(|value| vec![value]).collect();

@@ -55,7 +55,7 @@ pub fn prepare<'a>(
     };
     let request = request.clone();
     Ok(Evaluation {
-        // The two are compared: neither replaces the other's report.
+        // Evaluations with and without a trajectory model write separate reports, for comparison.
         report: match trajectory {
             Some(_) => "eval-goals-two-stage",
             None => "eval-goals",

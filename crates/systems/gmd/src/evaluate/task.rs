@@ -6,7 +6,7 @@ use kinegrad_random::{Key, Purpose};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Radius of the obstacles, metres: a person with some room.
+/// Radius of the obstacles, meters: a person with some clearance.
 const OBSTACLE_RADIUS: f64 = 0.35;
 
 /// Least distance of an obstacle's edge from both ends of the path, metres, unless the margin is larger.
@@ -16,10 +16,10 @@ const CLEARANCE: f64 = 0.1;
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum KeyframePlacement {
-    /// Random frames, as in the published evaluation; a frame that is sampled twice counts once.
+    /// Random frames, as in the published evaluation; frames sampled twice count once.
     #[default]
     Random,
-    /// Evenly spaced frames, the last one of the clip among them.
+    /// Evenly spaced frames, including the last frame of the clip.
     Even,
 }
 
@@ -28,8 +28,8 @@ pub enum KeyframePlacement {
 pub(super) struct GoalTask {
     pub keyframes: usize,
     pub keyframe_placement: KeyframePlacement,
-    /// Number of discs of 35 cm on the path, evenly spaced in time; those that would cover its
-    /// start or end are left out. With obstacles, only the last frame is a keyframe.
+    /// Number of discs with radius 35 cm on the path, evenly spaced in time. Discs that would cover
+    /// the path's start or end are omitted. With obstacles, only the last frame is a keyframe.
     pub obstacles: usize,
     pub margin: f64,
     /// Maximum number of frames.
@@ -121,7 +121,7 @@ mod tests {
         assert_eq!(of("a", 1), of("a", 1));
         assert_ne!(of("a", 1), of("b", 1));
         assert_ne!(of("a", 1), of("a", 2));
-        // Over many seeds each frame of the goal is a keyframe, and no other.
+        // Over many seeds, the keyframes are exactly the frames of the goal.
         let mut counts = [0; 60];
         for seed in 0..400 {
             let found = of("a", seed);

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::GeneratedClip;
 
-/// Pairs of clips of a condition whose distance multimodality is the mean of, as published.
+/// Number of clip pairs per condition; multimodality is their mean distance, as published.
 const PAIRS: usize = 10;
 
 /// Means over conditions with several clips each.
@@ -25,7 +25,7 @@ pub(super) struct VarietyReport {
 }
 
 impl VarietyReport {
-    /// Measures `samples`, `repeats` for each condition in turn.
+    /// Measures `samples`, with `repeats` consecutive samples per condition.
     pub(super) fn compute(
         samples: &[GeneratedClip],
         repeats: usize,

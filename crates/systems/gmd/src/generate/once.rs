@@ -16,13 +16,13 @@ use super::ClipGenerator;
 use crate::recipe_name::RecipeName;
 
 impl ClipGenerator {
-    /// The clean motion that a motion model predicts of each clip noised to `timestep`, in one step:
-    /// a measure of accuracy at the end of sampling. Clips are cut to the frames of training; the noise of
-    /// each depends on `seed` and its id.
+    /// A motion model's one-step prediction of each clip, noised to `timestep`: a measure of
+    /// accuracy at the end of sampling. Clips are cut to the training length. A clip's noise
+    /// depends on `seed` and the clip's id.
     ///
     /// # Errors
-    /// [`Error::Usage`] for a caption that the model does not know or a trajectory model,
-    /// [`Error::SampleNotFinite`], and if the process has no such timestep.
+    /// [`Error::Usage`] for a trajectory model or an unknown caption; [`Error::SampleNotFinite`];
+    /// an error if the process has no such timestep.
     pub fn predict_once(
         &self,
         clips: &[Arc<Clip>],

@@ -9,10 +9,10 @@ use kinegrad_models::layers::Linear;
 use kinegrad_models::time_embedding::interleaved_sinusoidal;
 use kinegrad_motion::humanml::TEXT_CHANNELS;
 
-/// `time_embed(sinusoid(t)) + embed_text(text)`, the first being linear, SiLU, linear over a row of
+/// `time_embed(sinusoid(t)) + embed_text(text)`; `time_embed` is linear, SiLU, linear over a row of
 /// the sinusoid table.
 ///
-/// Without a text the feature is zero *before* the linear map, so that its bias remains.
+/// Without a text, the feature is zero *before* the linear map, so that the map's bias remains.
 #[derive(Module, Debug)]
 pub struct Conditioner {
     embed_timestep_at_time_embed_at_0: Linear,

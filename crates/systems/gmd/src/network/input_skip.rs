@@ -7,17 +7,17 @@ use kinegrad_models::Initializer;
 use kinegrad_models::layers::{Conv1d, Linear};
 use kinegrad_models::time_embedding::interleaved_sinusoidal;
 
-/// The share of its input that a network adds to its output:
+/// The part of the input that a network adds to its output:
 ///
 /// ```text
 /// g = Linear(sinusoid(t))        one gain a channel, zero in a new network
 /// y = g (x + W x)                W of one frame, zero in a new network
 /// ```
 ///
-/// The published UNet halves its input's length before the first skip that it uses, and group
-/// normalisation removes the mean and the scale of a clip: at low noise, a small network loses the
-/// finest detail of its input and the place of the root (docs/gmd.md). The gain does not depend on the
-/// text, because guidance would multiply its errors for captions of few clips.
+/// The published UNet halves its input's length before the first used skip, and group normalization
+/// removes a clip's mean and scale. At low noise, a small network therefore loses the input's
+/// finest detail and the root's position (docs/gmd.md). The gain does not depend on the text,
+/// because guidance would multiply the gain's errors for captions of few clips.
 #[derive(Module, Debug)]
 pub(super) struct InputSkip {
     gain: Linear,
@@ -26,7 +26,7 @@ pub(super) struct InputSkip {
 }
 
 impl InputSkip {
-    /// A path of `channels`, with sinusoids of `width` (even).
+    /// A path with `channels` channels and sinusoids of even `width`.
     pub fn new(channels: usize, width: usize, init: &Initializer) -> Self {
         let (gain, mix) = (init.at("gain"), init.at("mix"));
         Self {
@@ -98,7 +98,7 @@ mod tests {
         let output = host_values(skip.forward(input, &times));
         for (b, time) in times.iter().enumerate() {
             let (t, slow) = (time.0 as f32, time.0 as f32 / 100.0);
-            // Two frequencies, 1 and 1/100, a sine and a cosine of each.
+            // Sine and cosine of two frequencies, 1 and 1/100.
             let sinusoid = [t.sin(), t.cos(), slow.sin(), slow.cos()];
             for k in 0..CHANNELS {
                 let row = (0..WIDTH).map(|i| gain[k * WIDTH + i] * sinusoid[i]);

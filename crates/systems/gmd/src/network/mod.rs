@@ -1,9 +1,9 @@
 //! The networks of Guided Motion Diffusion: a UNet over time with adaptive group normalisation
 //! (appendix D, table D.1, figures D.1 and D.2), conditioned on the timestep and a text.
 //!
-//! Names, sizes and initialisation are those of the published models where they differ from the
-//! appendix: residual shortcuts and the last convolution have kernel 1, the
-//! convolutions between levels 3 and 4.
+//! Names, sizes and initialization follow the published models where these differ from the
+//! appendix: residual shortcuts and the last convolution have kernel 1, convolutions between levels
+//! have kernels 3 and 4.
 
 mod conditioner;
 mod input_skip;

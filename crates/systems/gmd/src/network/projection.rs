@@ -4,9 +4,9 @@ use burn::module::{Module, Param};
 use burn::tensor::Tensor;
 use kinegrad_models::Initializer;
 
-/// The frozen matrix of a network's space, `[channels, channels]`: a frame is a row vector and `y = x P`
-/// (Guided Motion Diffusion, appendix C). It is one of the weights, so that a checkpoint determines its
-/// space.
+/// The frozen matrix of a network's space, `[channels, channels]`: a frame is a row vector and `y =
+/// x P` (Guided Motion Diffusion, appendix C). The matrix is one of the weights, so that a
+/// checkpoint determines its space.
 #[derive(Module, Debug)]
 pub struct Projection {
     matrix: Param<Tensor<2>>,
@@ -16,7 +16,7 @@ impl Projection {
     /// The given matrix, row by row.
     ///
     /// # Panics
-    /// If it is not square.
+    /// If the matrix is not square.
     pub fn new(matrix: Vec<f32>, channels: usize, init: &Initializer) -> Self {
         assert_eq!(matrix.len(), channels * channels, "a square matrix");
         let matrix = init.values([channels, channels], matrix);

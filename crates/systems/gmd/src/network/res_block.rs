@@ -8,7 +8,7 @@ use kinegrad_models::layers::{Conv1d, GroupNorm, Linear};
 
 pub(super) const GROUPS: usize = 8;
 
-/// Taps of convolutions that keep the length, except shortcuts.
+/// Kernel size of convolutions that keep the length, except shortcuts.
 const KERNEL: usize = 5;
 
 /// A convolution (child 0) and its normalisation (child 2).
@@ -43,7 +43,7 @@ impl ConvNorm {
     }
 }
 
-/// Two convolutions of five taps with a shortcut (Guided Motion Diffusion, figure D.2):
+/// Two convolutions of kernel size 5 with a shortcut (Guided Motion Diffusion, figure D.2):
 ///
 /// ```text
 /// (s, b) = Linear(mish(c))
@@ -52,8 +52,8 @@ impl ConvNorm {
 /// out = mish(norm(conv(h))) + shortcut(x)
 /// ```
 ///
-/// With AdaGN the linear layer is initialised to zero; with `zero_init` the second convolution too. The
-/// published models name the first half `block1` with AdaGN, else `block`.
+/// AdaGN initializes the linear layer to zero; `zero_init` initializes the second convolution to
+/// zero. The published models name the first half `block1` with AdaGN and `block` without.
 #[derive(Module, Debug)]
 pub(super) struct GmdResBlock {
     blocks_at_0_at_block1: Option<ConvNorm>,
@@ -64,7 +64,7 @@ pub(super) struct GmdResBlock {
 }
 
 impl GmdResBlock {
-    /// A block from `inputs` to `outputs` channels (a multiple of [`GROUPS`]) under a condition of
+    /// A block from `inputs` to `outputs` channels (a multiple of [`GROUPS`]) with a condition of
     /// `width` numbers.
     pub fn new(
         inputs: usize,

@@ -39,7 +39,7 @@ impl Backbone {
         }
     }
 
-    /// Numbers that the backward pass keeps of one item of `frames` frames, roughly.
+    /// Approximate number of values kept for the backward pass, per item of `frames` frames.
     pub fn activations(&self, frames: usize) -> u64 {
         match self {
             Self::GmdUnet(config) => config.activations(),
@@ -47,7 +47,7 @@ impl Backbone {
         }
     }
 
-    /// Maximum number of frames of a clip, if there is one.
+    /// Maximum number of frames of a clip, if limited.
     pub fn longest(&self) -> Option<usize> {
         match self {
             Self::GmdUnet(config) => Some(config.padded_frames),
@@ -73,11 +73,11 @@ enum Network {
     Transformer(Encoder),
 }
 
-/// A denoiser conditioned on timestep and text: parameters `embed_timestep.*`, `embed_text.*`,
-/// those of the backbone, and optionally `embed_captions.weight` and `projection.matrix`.
+/// A denoiser conditioned on timestep and text: parameters `embed_timestep.*`, `embed_text.*`, the
+/// backbone's parameters, and optionally `embed_captions.weight` and `projection.matrix`.
 ///
-/// The condition is the text's pooled feature `[batch, 512, 1]`, or with
-/// [captions](Self::with_captions) one-hot, `[batch, captions, 1]`; zeros stand for no text.
+/// The condition is the text's pooled feature `[batch, 512, 1]`, or one-hot
+/// [captions](Self::with_captions), `[batch, captions, 1]`. Zeros mean no text.
 #[derive(Module, Debug)]
 pub struct TextDenoiser {
     embed_captions: Option<Embedding>,
@@ -120,8 +120,8 @@ impl TextDenoiser {
         })
     }
 
-    /// The same network with a learned embedding of each caption: `[captions, 512]`, initially of
-    /// variance 1.
+    /// The same network with a learned embedding per caption: `[captions, 512]`, initial variance
+    /// 1.
     #[must_use]
     pub fn with_captions(self, captions: usize, init: &Initializer) -> Self {
         Self {
@@ -140,7 +140,7 @@ impl TextDenoiser {
         }
     }
 
-    /// The projection of its space, if there is one.
+    /// The projection of the network's space, if any.
     pub fn projection(&self) -> Option<&Projection> {
         self.projection.as_ref()
     }
@@ -161,8 +161,8 @@ impl TextDenoiser {
         self.forward_stages(x_t, time, text, None, &mut ())
     }
 
-    /// [`forward`](Self::forward) with the dropout of a transformer in training, and the stages of a UNet:
-    /// `unet_in_padded` and `unet_out_padded`, of the padded length, and those of
+    /// [`forward`](Self::forward) with a transformer's dropout in training, and with a UNet's
+    /// stages: `unet_in_padded` and `unet_out_padded` at the padded length, and the stages of
     /// [`GmdUnet::forward_stages`].
     ///
     /// # Panics
@@ -194,7 +194,7 @@ impl TextDenoiser {
 }
 
 impl UnetDenoiser {
-    /// Pads with zeros of the noisy space on the right, without a mask, as the published models do.
+    /// Pads with zeros of the noisy space on the right, without a mask, as in the published models.
     fn forward(&self, x: Tensor<3>, cond: Tensor<2>, stages: &mut impl Stages) -> Tensor<3> {
         let [batch, channels, time] = x.dims();
         assert!(

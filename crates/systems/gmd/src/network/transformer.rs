@@ -2,7 +2,7 @@
 //! <https://arxiv.org/abs/2209.14916>, section 3): the baseline of Guided Motion Diffusion.
 //!
 //! Parameters have the names of the published model and the layout of PyTorch's
-//! `nn.TransformerEncoder`; layers normalise after each sum and activate by GELU.
+//! `nn.TransformerEncoder`; layers normalize after each residual sum and use GELU.
 #![expect(
     non_snake_case,
     reason = "fields are named as the published model's parameters"
@@ -28,7 +28,7 @@ pub struct EncoderConfig {
     pub num_layers: usize,
     /// Attention heads.
     pub num_heads: usize,
-    /// Width inside each layer's two linear maps.
+    /// Width between each layer's two linear maps.
     pub ff_size: usize,
     /// Dropout in training, of the tokens and within each layer.
     pub dropout: f64,
@@ -69,7 +69,7 @@ impl EncoderConfig {
     }
 
     /// # Errors
-    /// Names the key that no network can be built from.
+    /// Names the invalid key.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         must_be_even(self.latent_dim, "the published model has 512")?;
         must_divide(self.num_heads, self.latent_dim).hint("the published model has 4")?;
@@ -81,7 +81,7 @@ impl EncoderConfig {
             .hint("0.1 in the published training; 0 for none")
     }
 
-    /// Numbers that the backward pass keeps of one item of `frames` frames, roughly.
+    /// Approximate number of values kept for the backward pass, per item of `frames` frames.
     pub fn activations(&self, frames: usize) -> u64 {
         let layer = 12 * self.latent_dim + 3 * self.ff_size;
         (frames as u64 + 1) * self.num_layers as u64 * layer as u64
@@ -108,7 +108,7 @@ impl EncoderConfig {
             input_process_at_poseEmbedding: Linear::new(in_channels, self.latent_dim, &pose),
             seqTransEncoder_at_layers: (0..self.num_layers).map(layer).collect(),
             output_process_at_poseFinal: Linear::new(self.latent_dim, in_channels, &last),
-            // The numbers of the layers' own follow.
+            // The layers' dropouts have the next indices.
             dropout: Dropout::new(self.dropout, 0),
         })
     }

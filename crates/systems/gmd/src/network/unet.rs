@@ -19,20 +19,20 @@ const MAX_PADDED_FRAMES: usize = 1 << 20;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GmdUnetConfig {
-    /// Width of the condition inside the network, and base of the multipliers.
+    /// Width of the condition inside the network, and base width of the multipliers.
     pub latent_dim: usize,
     /// Channels of each level divided by `latent_dim`.
     pub dim_mults: Vec<f64>,
     /// The condition scales and shifts (AdaGN) instead of being added.
     pub adagn: bool,
-    /// Second convolutions and the last one are initialised to zero, so that a new network outputs
-    /// 0.
+    /// The last convolution and each block's second convolution are initialized to zero, so that a
+    /// new network outputs 0.
     pub zero_init: bool,
-    /// The input is added to the output, mixed between channels, with a gain of each channel that
-    /// depends on the timestep: small networks lose detail of the input otherwise. Not in the
-    /// published models.
+    /// The input, mixed between channels, is added to the output with a timestep-dependent gain per
+    /// channel. Without this skip, small networks lose detail of the input. Not in the published
+    /// models.
     pub input_skip: bool,
-    /// Frames that every clip is padded to.
+    /// Number of frames to which every clip is padded.
     pub padded_frames: usize,
 }
 
@@ -53,8 +53,8 @@ impl NetworkConfig for GmdUnetConfig {
     ];
 }
 
-/// Named sizes (Guided Motion Diffusion, table D.1), with the parameters of the published models of 263
-/// and 4 channels.
+/// Named sizes (Guided Motion Diffusion, table D.1), with parameter counts of the published models
+/// for 263 and 4 channels.
 impl GmdUnetConfig {
     /// 233,507,079 parameters.
     pub fn motion() -> Self {
@@ -101,7 +101,7 @@ impl GmdUnetConfig {
     }
 
     /// # Errors
-    /// Names the key that no network can be built from.
+    /// Names the invalid key.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         let (width, mults) = (self.latent_dim, &self.dim_mults);
         let (key, count) = ("model.dim_mults", mults.len());
@@ -129,11 +129,11 @@ impl GmdUnetConfig {
             .hint("every level but the last halves the length; the published models have 224")
     }
 
-    /// Numbers that the backward pass keeps of one item, roughly.
+    /// Approximate number of values kept for the backward pass, per item.
     pub fn activations(&self) -> u64 {
         let of_level = |(level, width): (usize, usize)| {
             let frames = self.padded_frames.div_ceil(1 << level) as u64;
-            // Two blocks down and two up, the first of which takes the skip connection too.
+            // Two blocks down and two blocks up; the first block up also takes the skip connection.
             24 * width as u64 * frames
         };
         self.channels().into_iter().enumerate().map(of_level).sum()
@@ -213,9 +213,9 @@ struct UpLevel {
 
 /// The UNet without the embeddings of timestep and text, made by [`GmdUnetConfig::init`].
 ///
-/// It has as many levels down as multipliers and one less up, counted from the coarsest; the skip of
-/// the finest level is not used, as in the published models. The condition of the blocks is `Linear,
-/// Mish, Linear` of the input.
+/// The UNet has one level down per multiplier, and one level less up, counted from the coarsest.
+/// The finest level's skip is unused, as in the published models. The blocks' condition is `Linear,
+/// Mish, Linear` of the input condition.
 #[derive(Module, Debug)]
 pub struct GmdUnet {
     time_mlp_at_0: Linear,
@@ -272,7 +272,8 @@ impl GmdUnet {
         }
         let last = &self.final_conv_at_0_at_block;
         let h = last.convolution().forward(x);
-        // The last convolution normalises its input itself: no other tensor contains this.
+        // The last convolution normalizes its input internally, so no other tensor contains this
+        // stage.
         stages.stage(format_args!("final0"), || last.norm().forward(h.clone()));
         let output = self.final_conv_at_1.operation();
         output.norm(last.norm()).forward(h)

@@ -1,7 +1,7 @@
 //! The motion and the trajectory model of Guided Motion Diffusion (appendix A, C and E).
 //!
-//! The motion model: clips of joint features with an absolute root, projected so that the root's three
-//! channels weigh as much as all others:
+//! The motion model trains on clips of joint features with an absolute root, projected so that the
+//! root's three channels weigh as much as all other channels:
 //!
 //! ```text
 //! x = ((u - mean) / std) P          P from `emphasis`, stored with the weights
@@ -10,15 +10,15 @@
 //! ```
 //!
 //! with the distance of `diffusion.loss_type` and the weights w(t) of `diffusion.snr_gamma`. GMD's
-//! published program has squares and no w(t) (docs/sources.md, section 4.10). `loss.velocity` adds the
-//! squared error of differences from the frame before.
+//! published program uses squares and no w(t) (docs/sources.md, section 4.10). `loss.velocity` adds
+//! the squared error of differences from the previous frame.
 //!
 //! `loss.joint_velocity` and `loss.foot_contact` add terms of the joints ([`JointMotion`]). Without a
 //! projection, `loss.trajectory_scale` k weighs the first four channels by k^2 instead (appendix C.1).
 //!
-//! The trajectory model predicts the noise of those four channels alone, the root's rotation, x, z and
-//! height. It overfits quickly and then responds poorly to guidance, so its recipe uses early stopping
-//! on held-out paths (`train.patience`).
+//! The trajectory model predicts only the noise of the four root channels: rotation, x, z and
+//! height. The trajectory model overfits quickly and then responds poorly to guidance, so its
+//! recipe uses early stopping on held-out paths (`train.patience`).
 
 use kinegrad_data::TEXT;
 use kinegrad_diffusion::{GaussianDiffusion, Time};
@@ -30,7 +30,7 @@ use super::JointMotion;
 use crate::GmdLossConfig;
 use crate::network::TextDenoiser;
 
-/// Trains a [`TextDenoiser`] on clips of `channels`, validated on `held_out`. The noise is that of the
+/// Trains a [`TextDenoiser`] on clips of `channels`, validated on `held_out`. The noise has the
 /// network's space.
 pub fn clip_recipe(
     diffusion: GaussianDiffusion,

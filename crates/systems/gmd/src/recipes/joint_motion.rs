@@ -1,4 +1,4 @@
-//! A loss of how joints move in the world.
+//! A loss of the joints' motion in the world.
 
 use burn::tensor::{Int, Tensor, TensorData};
 use kinegrad_motion::Statistics;
@@ -8,7 +8,7 @@ use kinegrad_train::clips::space::rows_to_motion;
 
 use crate::GmdLossConfig;
 
-/// Contact flags of the target above this mark standing feet.
+/// The target's contact flags above this value mark standing feet.
 const STANDING: f32 = 0.5;
 
 /// The velocity and foot contact losses of the Human Motion Diffusion Model (Tevet et al. 2022,
@@ -19,9 +19,10 @@ const STANDING: f32 = 0.5;
 ///   + foot_contact    mean over frames of  sum over feet   c_target |v|^2 / 4
 /// ```
 ///
-/// v is the velocity of a joint in the world, metres per second, from a frame to the next, and c the
-/// contact flag of the first of both. In the features, a joint's position is the sum of the root's and its own in the
-/// facing frame: both may be nearly right while a standing foot slides.
+/// v is a joint's velocity in the world from one frame to the next, in meters per second; c is the
+/// contact flag of the first frame. The features split a joint's position into the root's position
+/// and the position relative to the root, in the facing frame. Both may be nearly right while a
+/// standing foot slides.
 #[derive(Clone, Debug)]
 pub struct JointMotion {
     joint_velocity: f64,
@@ -82,7 +83,7 @@ impl JointMotion {
         let joints = self.layout.joints();
         let (velocities, _) = self.velocities(prediction);
         let (expected, contacts) = self.velocities(target);
-        // Of two real frames the second is real.
+        // A velocity is real if its second frame is real.
         let real = mask.narrow(1, 1, time - 1);
         let over_frames = |of_frames: Tensor<3>, weight: f64| {
             let of_frames = of_frames.sum_dim(1).reshape([batch, time - 1]) * real.clone();
@@ -109,8 +110,8 @@ impl JointMotion {
         terms
     }
 
-    /// Velocities of the joints in the world, metres per second, `[batch, 3 J, time - 1]`, those
-    /// along x of all joints first, and the contact flags, `[batch, 4, time]`.
+    /// World velocities of the joints in meters per second, `[batch, 3 J, time - 1]`, and contact
+    /// flags, `[batch, 4, time]`. The velocities along x of all joints are first.
     fn velocities(&self, x: Tensor<3>) -> (Tensor<3>, Tensor<3>) {
         let [batch, _, time] = x.dims();
         let device = x.device();
@@ -131,7 +132,7 @@ impl JointMotion {
                 .reshape([batch, bodies, time])
         };
         let [x, y, z] = [along(0), along(1), along(2)];
-        // The inverse of the root quaternion, which turns the world to the facing frame.
+        // The inverse of the root quaternion, which rotates the world into the facing frame.
         let angle = root(0) * 2.0;
         let (cos, sin) = (angle.clone().cos(), angle.sin());
         let world_x = x.clone() * cos.clone() - z.clone() * sin.clone() + root(1);
@@ -162,8 +163,8 @@ mod tests {
         }
     }
 
-    /// Features of any numbers, turning by more than half a circle, the feet on the floor in every
-    /// second frame; and the same in the network's space.
+    /// Arbitrary features that turn by more than half a circle, with feet on the floor in every
+    /// second frame; and the same features in the network's space.
     struct Example {
         features: Features,
         network: Tensor<3>,
@@ -204,7 +205,7 @@ mod tests {
             JointMotion::new(config, &skeleton, &self.statistics, Some(&self.projection))
         }
 
-        /// Velocity of a joint from frame t to the next.
+        /// Velocity of a joint from frame t to frame t + 1.
         fn velocity(&self, t: usize, joint: usize) -> [f64; 3] {
             let joints = self.features.joints();
             let (here, there) = (joints.frame(t)[joint], joints.frame(t + 1)[joint]);
@@ -235,7 +236,7 @@ mod tests {
     #[test]
     fn terms_are_those_of_the_joints_in_the_world() {
         let (found, target) = (Example::new(1), Example::new(2));
-        // In the same space.
+        // Prediction and target in the same space.
         let network = network(
             target.features.as_slice(),
             &found.statistics,

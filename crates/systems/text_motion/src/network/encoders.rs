@@ -1,4 +1,5 @@
-//! The three networks: frames to movements, and movements or words to an embedding.
+//! Three networks: the first encodes frames as movements, the others encode movements or words as
+//! an embedding.
 
 use burn::module::{Module, Param};
 use burn::tensor::activation::leaky_relu;
@@ -64,7 +65,7 @@ impl SequenceEncoder {
         }
     }
 
-    /// `[batch, in, time]`, of which each sequence has its first `lengths[i]` steps, to
+    /// Encodes the first `lengths[i]` steps of each sequence in `[batch, in, time]`; output
     /// `[batch, embedding]`.
     pub fn forward(&self, x: Tensor<3>, lengths: &[usize]) -> Tensor<2> {
         let longest = lengths.iter().max().copied().unwrap_or(0);
@@ -93,8 +94,8 @@ impl TextEncoder {
         }
     }
 
-    /// Vectors `[batch, words, word_vector]` and classes `[batch, words]` of captions of `lengths`
-    /// words to `[batch, embedding]`.
+    /// Encodes captions of `lengths` words from vectors `[batch, words, word_vector]` and classes
+    /// `[batch, words]`; output `[batch, embedding]`.
     pub fn forward(
         &self,
         vectors: Tensor<3>,

@@ -1,8 +1,8 @@
-//! Text-motion evaluators: encoders that measure how well motions match captions.
+//! Text-motion evaluators: encoders that measure the match of motions and captions.
 //!
-//! One encodes clips of HumanML3D features, the other captions, to embeddings that are close if the
-//! caption describes the clip. Source: C. Guo et al., "Generating Diverse and Natural 3D Human Motions
-//! from Text" (2022), section 5, and its published program.
+//! One encoder embeds clips of HumanML3D features, the other embeds captions. The embeddings are
+//! close if the caption describes the clip. Source: C. Guo et al., "Generating Diverse and Natural
+//! 3D Human Motions from Text" (2022), section 5, and its published program.
 //!
 //! ```text
 //! clip     normalised frames without contact flags -> two convolutions (4 wide, 2 apart), linear
@@ -30,17 +30,17 @@ pub const PARTS: [&str; 3] = ["movement_encoder", "motion_encoder", "text_encode
 /// Widths of the networks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TextMotionConfig {
-    /// Numbers of a frame, without contact flags.
+    /// Channels of a frame, without contact flags.
     pub channels: usize,
-    /// Numbers of a word vector.
+    /// Width of a word vector.
     pub word_vector: usize,
     /// The widths that a config chooses.
     pub sizes: TextMotionSizes,
 }
 
 impl TextMotionConfig {
-    /// The widths of weights with the named shapes `shape`. A width without a weight is
-    /// that of the published networks for HumanML3D.
+    /// The widths of weights with the named shapes `shape`. Widths without a weight are the
+    /// published networks' widths for HumanML3D.
     pub fn of_weights<'a>(shape: impl Fn(&str) -> Option<&'a [usize]>) -> Self {
         let width = |name: &str, axis: usize, published: usize| {
             let found = shape(name).and_then(|shape| shape.get(axis)).copied();
@@ -90,7 +90,7 @@ pub struct TextMotionEncoders {
 }
 
 impl TextMotionEncoders {
-    /// Their widths.
+    /// Widths of the encoders.
     pub fn config(&self) -> &TextMotionConfig {
         &self.config
     }
@@ -99,7 +99,7 @@ impl TextMotionEncoders {
     ///
     /// # Shapes
     /// - frames: normalised, zeros behind each clip, `[batch, channels, time]`; the last movement
-    ///   of a clip sees what follows it
+    ///   of a clip depends on the frames behind the clip
     /// - output: `[batch, embedding]`
     pub fn motions(&self, frames: Tensor<3>, lengths: &[usize]) -> Tensor<2> {
         let movements = self.movement_encoder.forward(frames);
