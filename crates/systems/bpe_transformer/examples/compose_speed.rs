@@ -1,13 +1,13 @@
 //! Time and memory of one guided prediction of a long composed motion at the published size, with
-//! random weights: `scripts/peer/flowmdm/compare.py` runs it beside PyTorch.
+//! random weights. `scripts/peer/flowmdm/compare.py` runs this example beside PyTorch.
 //!
 //! ```sh
 //! cargo run --release -p kinegrad-models --example compose_speed -- FRAMES STEPS
 //! ```
 //!
-//! prints the median seconds of a step, and the MiB that steps took beyond what was resident before. With
-//! `RETURN_FREED` set it gives back what is freed, as memory is to be measured: otherwise what weights were
-//! sampled in is used again (and so must the allocator, `MALLOC_MMAP_THRESHOLD_=65536`).
+//! The example prints the median seconds of a step, and the memory added by steps in MiB. For
+//! memory measurements, set `RETURN_FREED` and `MALLOC_MMAP_THRESHOLD_=65536`: freed memory then
+//! returns to the system. Otherwise steps reuse memory from the sampling of weights.
 
 use std::time::Instant;
 
@@ -18,7 +18,7 @@ use kinegrad_diffusion::{Denoiser, Time, guided};
 use kinegrad_models::Initializer;
 use kinegrad_random::{Key, Purpose};
 
-/// Frames of a text.
+/// Frames per text.
 const SEGMENT: usize = 100;
 
 fn main() {
@@ -74,10 +74,10 @@ fn main() {
         &[Time(0.0)],
         &random("one", [1, 512, 1]),
     );
-    // The most from here on.
+    // Resets the peak of resident memory.
     let _ = std::fs::write("/proc/self/clear_refs", "5");
     let before = resident("VmRSS");
-    // Half of them absolute.
+    // Half of the steps are absolute.
     let step = |number: usize| {
         let begin = Instant::now();
         let t = if number.is_multiple_of(2) {
@@ -103,7 +103,7 @@ fn main() {
     );
 }
 
-/// A line of the process's status, MiB.
+/// A memory value of the process's status, MiB.
 fn resident(name: &str) -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").expect("Linux");
     let line = status

@@ -17,7 +17,7 @@ use toml::{Table, Value};
 use super::{ADAPTER, PathConfig, RECIPE};
 use crate::network::BlendedConfig;
 
-/// Values of the common tables: those of the published program where it has them.
+/// Values of the common tables, from the published program where it defines the value.
 pub(super) const DEFAULTS: &str = r#"
 [data]
 kind = "humanml3d"
@@ -61,7 +61,7 @@ pub(super) fn with_paths(mut tables: Table) -> Table {
     tables
 }
 
-/// True if a run trains a path-conditioned network; its initial network need not be one.
+/// True if a run trains a path-conditioned network; the initial network may lack path conditioning.
 pub(super) fn is_path_conditioned(config: &Config) -> bool {
     config.own::<BpeTables>().model.network.sizes().path || config.train.recipe == ADAPTER
 }
@@ -99,7 +99,7 @@ pub enum BpeNetwork {
 }
 
 impl BpeNetwork {
-    /// Its sizes.
+    /// Sizes of the network.
     pub fn sizes(&self) -> &BlendedConfig {
         let Self::BpeTransformer(sizes) = self;
         sizes
@@ -112,7 +112,7 @@ impl Default for BpeNetwork {
     }
 }
 
-/// The table `positions`: which positions the network is trained with.
+/// The table `positions`: positions in training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PositionsConfig {
@@ -132,8 +132,8 @@ impl Default for PositionsConfig {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PathTrainingConfig {
-    /// Probability of dropping a training sample's path. 0.1 trains the network without paths too;
-    /// recipe `path_adapter` needs none, because its base was trained without paths.
+    /// Probability of dropping a training sample's path. 0.1 also trains the network without paths.
+    /// Recipe `path_adapter` needs no dropping, because its base was trained without paths.
     pub drop_prob: f64,
 }
 
@@ -141,8 +141,8 @@ pub struct PathTrainingConfig {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct BpeInitConfig {
-    /// Run or checkpoint to start from, whose EMA weights, network, process and statistics are
-    /// used. For `path_adapter` it may be without path conditioning.
+    /// Initial run or checkpoint, which provides EMA weights, network, process and statistics. For
+    /// `path_adapter`, the initial network may lack path conditioning.
     pub diffusion: PathBuf,
 }
 
@@ -158,28 +158,28 @@ pub struct PathAdapterConfig {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct BpeLossConfig {
-    /// Weight of the squared error of the differences between consecutive frames, beside that of
-    /// the frames: it penalises shaking. 0 in the published program. Small models shake without it.
+    /// Weight of the squared error of differences between consecutive frames, which penalizes
+    /// shaking. 0 in the published program. Small models shake without this term.
     pub velocity: f64,
 }
 
-/// The table `evaluation`: the settings of `kinegrad eval`, which composes motions from the texts
-/// and lengths of held-out clips, and of sampling.
+/// The table `evaluation`: settings of sampling and of `kinegrad eval`, which composes motions from
+/// the texts and lengths of held-out clips.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ComposeEvaluationConfig {
     /// Number of compositions.
     pub compositions: usize,
-    /// Texts of each.
+    /// Texts per composition.
     pub texts: usize,
-    /// Frames of the window around a transition, whose jerk is measured.
+    /// Frames of the window around a transition in which jerk is measured.
     pub transition_frames: usize,
-    /// In sampling, timestep t is relative if it is at most the number of timesteps less this; -1
-    /// for always absolute, 0 for always relative. 60 in the published model of HumanML3D, 125 in
-    /// that of BABEL.
+    /// Switch k between absolute and relative positions in sampling with T timesteps: timestep t is
+    /// relative if t <= T - k. -1 is always absolute, 0 always relative. The published models use
+    /// 60 for HumanML3D and 125 for BABEL.
     pub bpe_denoising_step: i64,
-    /// Number of held-out clips whose root trajectories are followed as paths, according to `path`,
-    /// to measure the deviation; 0 measures none.
+    /// Number of held-out clips whose root trajectories serve as paths, followed according to
+    /// `path`, to measure the deviation; 0 omits this measurement.
     pub num_paths: usize,
     /// The path-following method.
     pub path: PathConfig,

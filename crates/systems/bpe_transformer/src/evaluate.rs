@@ -1,5 +1,5 @@
-//! The evaluation of composed motion, generated from the texts and lengths of several held-out clips
-//! in a row.
+//! The evaluation of composed motion, generated from the texts and lengths of several held-out
+//! clips.
 
 use std::sync::Arc;
 

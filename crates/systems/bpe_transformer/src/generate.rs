@@ -71,9 +71,9 @@ impl Composer {
         Ok(Fastest::of_clips(self.statistics()?, &skeleton))
     }
 
-    /// One motion of all `lines`, without overlaps or transitions; each line starts where the
-    /// previous one ends. With a `target` it is sampled along that according to `settings.path`,
-    /// and the caller moves it onto the target.
+    /// One motion for all `lines`, without overlaps or transitions; each line starts at the end of
+    /// the previous line. A `target` is followed according to `settings.path`; the caller moves the
+    /// motion onto the target.
     ///
     /// # Errors
     /// For an unknown text, an invalid setting, or a result that is not finite.
@@ -122,7 +122,7 @@ impl Composer {
         let start = TensorData::new(start, [1, channels, frames]);
         let has_text = lines.iter().any(|line| line.text.is_some());
         let sampler = SamplerConfig {
-            // Without any text both passes of the guidance are the same one.
+            // Without any text, both passes of the guidance are equal.
             guidance_scale: if has_text {
                 sampler.guidance_scale
             } else {
@@ -202,7 +202,8 @@ impl Composer {
         ))
     }
 
-    /// The text conditions of the lines, `[lines, text channels, 1]`; zeros without a text.
+    /// The text conditions of the lines, `[lines, text channels, 1]`; lines without a text have
+    /// zeros.
     fn text_conditions(&self, lines: &[TimedPrompt]) -> Result<Tensor<3>, Error> {
         let channels = self.text.channels();
         let mut values = Vec::with_capacity(lines.len() * channels);

@@ -21,15 +21,15 @@ use crate::network::{BlendedConfig, HEAD_CHANNELS};
 
 pub(super) const ARCHITECTURES: [&str; 1] = ["flowmdm"];
 
-/// Tables of the published program that are formulas.
+/// Stored tables of the published program that kinegrad computes by formulas.
 const TABLES: [&str; 3] = [
     "t_pos_encoder.pe",
     "seqTransEncoder.attn_layers.rotary_pos_emb.relative.inv_freq",
     "seqTransEncoder.attn_layers.rotary_pos_emb.last_timestep",
 ];
 
-/// Reads published weights and writes them as the only checkpoint of a run, for sampling; it has no
-/// optimiser to resume with.
+/// Reads published weights and writes a run with one checkpoint, for sampling. Training cannot
+/// resume: the checkpoint has no optimizer state.
 pub(super) fn import(request: &ImportRequest) -> Result<Imported, Error> {
     let hint = "give option `mean Mean.npy` and option `std Std.npy`, those of HumanML3D with its relative root";
     let statistics = request.statistics(hint)?;
@@ -53,7 +53,7 @@ pub(super) fn import(request: &ImportRequest) -> Result<Imported, Error> {
     })
 }
 
-/// The network according to the shapes of the weights; horizon and dropout are those of `base`.
+/// The network according to the shapes of the weights; `base` gives horizon and dropout.
 fn sizes(
     size: impl Fn(&str, usize) -> Result<usize, Error>,
     tensors: &BTreeMap<String, Tensor>,

@@ -1,10 +1,10 @@
 //! Motion composed of several texts: a transformer with blended positional encodings (docs/sources.md,
 //! section 6).
 //!
-//! Recipe `bpe_motion` trains it on clips with one text each, half in absolute and half in relative
-//! mode, and with `model.path` on their root trajectories; recipe `path_adapter` adds path
-//! conditioning to a frozen network. [`Composer`] samples motion of any length from a sequence of
-//! texts.
+//! Recipe `bpe_motion` trains the network on clips with one text each, half in absolute and half in
+//! relative mode. With `model.path`, the network is also conditioned on the clips' root
+//! trajectories. Recipe `path_adapter` adds path conditioning to a frozen network. [`Composer`]
+//! samples motion of any length from a sequence of texts.
 
 mod config;
 mod evaluate;
@@ -55,7 +55,7 @@ const RECIPES: [RecipeInfo; 2] = [
     },
 ];
 
-/// Tables that follow from what a run starts from.
+/// Tables that the initial checkpoint of a run determines.
 const INHERITED: [&str; 3] = ["model", "text", "diffusion"];
 
 /// The system.

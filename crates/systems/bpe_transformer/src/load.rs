@@ -35,8 +35,8 @@ pub(super) fn network(config: &Config, device: &Device) -> Result<BlendedTransfo
     })
 }
 
-/// The initial network of training: with the weights of `start`, if there is one, and frozen except for
-/// the trained part of recipe `path_adapter`.
+/// The initial network of training, with the weights of an optional `start`. Recipe `path_adapter`
+/// freezes all except the trained part.
 pub(super) fn initial_network(
     config: &Config,
     start: Option<&Start>,
@@ -52,7 +52,7 @@ pub(super) fn initial_network(
     })
 }
 
-/// The network of a config with the weights of `start`; other weights are initialised.
+/// The network of a config with the weights of `start`; other weights are initialized.
 fn started(start: &Start, config: &Config, device: &Device) -> Result<BlendedTransformer, Error> {
     let state = start.state();
     let network = start.load(|saved| trained(saved, Weights::Ema, device))?;

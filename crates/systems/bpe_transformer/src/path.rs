@@ -14,34 +14,34 @@ use kinegrad_train::clips::path_target::{Followed, PathTarget};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Channels of the root's rotation and place on the ground.
+/// Channels of the root's rotation and ground position.
 const ROOT: usize = 3;
 
-/// The table `evaluation.path`: how motion follows a path.
+/// The table `evaluation.path`: path following.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PathConfig {
     /// The method that keeps the root on the path during sampling.
     pub method: PathMethod,
-    /// For `warp`: lock feet where they stand in the sample, by two-bone inverse kinematics.
+    /// For `warp`: lock the sample's standing feet by two-bone inverse kinematics.
     pub lock_feet: bool,
-    /// For `override`: what replaces the root.
+    /// For `override`: the replacement of the root.
     pub override_target: OverrideTarget,
-    /// For `override`: replace the heading too. Without it, the path is relative to the headings of
-    /// the sample.
+    /// For `override`: replace the heading too. If false, the path is relative to the sample's
+    /// headings.
     pub yaw: bool,
-    /// For `guidance`: use the gradient of the predicted clean motion through the network,
-    /// multiplied by the variance of the step, instead of that of the noisy motion.
+    /// For `guidance`: use the gradient through the network from the predicted clean motion,
+    /// multiplied by the step's variance. If false, use the gradient of the noisy motion.
     pub through_network: bool,
     /// For `guidance`: length of a step against the gradient. Omitted: 100 through the network; for
-    /// the noisy motion 1 with a relative root, 0.05 with an absolute one.
+    /// the noisy motion, 1 with a relative root and 0.05 with an absolute root.
     pub guidance_step_size: Option<f64>,
-    /// For `guidance` through the network: largest shift of a frame in one step, over all its
-    /// channels, in standard deviations of the step's noise. Early frames of a relative root move
-    /// all later ones: without a limit their gradient breaks the motion.
+    /// For `guidance` through the network: largest shift of a frame in one step, over all channels,
+    /// in standard deviations of the step's noise. With a relative root, early frames move all
+    /// later frames, and without a limit their gradient breaks the motion.
     pub max_shift: f64,
-    /// Last timestep at which the path acts; below it the model samples freely. At 0 an override
-    /// lasts to the end.
+    /// Last timestep at which the path acts; at lower timesteps, the model samples freely. With 0,
+    /// an override lasts to the end.
     pub stop_timestep: usize,
     /// For `guidance`: the loss.
     pub loss: PathLossConfig,
@@ -72,17 +72,17 @@ pub enum PathMethod {
     /// Samples freely and moves the motion onto the path afterwards (option A).
     #[default]
     Warp,
-    /// The root is replaced at each step (option B).
+    /// Replaces the root at each step (option B).
     Override,
-    /// Each step goes against the gradient of a loss (option D).
+    /// Moves each step against the gradient of a loss (option D).
     Guidance,
-    /// Both: guided, and replaced.
+    /// Combines guidance and override.
     OverrideGuidance,
-    /// The network is conditioned on the path (options C and E).
+    /// Conditions the network on the path (options C and E).
     Tokens,
     /// Path conditioning and guidance.
     TokensGuidance,
-    /// Path conditioning; the remaining error is removed by moving the motion onto the path.
+    /// Path conditioning; moving the motion onto the path removes the remaining error.
     TokensWarp,
 }
 
@@ -98,12 +98,12 @@ impl PathMethod {
         matches!(self, Guidance | OverrideGuidance | TokensGuidance)
     }
 
-    /// True if it acts during sampling.
+    /// True if the method acts during sampling.
     pub fn acts(self) -> bool {
         !matches!(self, Self::None | Self::Warp)
     }
 
-    /// True if the sample is moved afterwards, which changes its features.
+    /// True if the sample is moved after sampling, which changes the sample's features.
     pub fn moves_afterwards(self) -> bool {
         matches!(self, Self::Warp | Self::TokensWarp)
     }
@@ -118,8 +118,7 @@ impl PathMethod {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OverrideTarget {
-    /// The path in the noisy motion without noise, as in the source: less noise there than in
-    /// training.
+    /// The path in the noisy motion, without noise, as in the source: less noise than in training.
     Clean,
     /// The path in the noisy motion, noised to the step's level.
     Noised,
@@ -129,7 +128,7 @@ pub enum OverrideTarget {
 }
 
 impl PathConfig {
-    /// Length of a step against the gradient, of motion with such a root.
+    /// Length of a step against the gradient, for motion with this root representation.
     pub fn guidance_step_size(&self, root: Root) -> f64 {
         let default = match (self.through_network, root) {
             (true, _) => 100.0,
@@ -140,7 +139,7 @@ impl PathConfig {
     }
 
     /// # Errors
-    /// Names the key that cannot work with so many timesteps.
+    /// Names the key that is invalid for the number of timesteps.
     pub fn validate(&self, num_train_timesteps: usize) -> Result<(), InvalidSetting> {
         if let Some(guidance_step_size) = self.guidance_step_size {
             in_range("guidance_step_size", guidance_step_size, 0.0..)?;
@@ -151,7 +150,7 @@ impl PathConfig {
     }
 }
 
-/// Moves a motion that was sampled according to `config` onto the path.
+/// Moves a motion sampled according to `config` onto the path.
 pub(super) fn finish(
     target: &PathTarget,
     features: &Features,
@@ -171,7 +170,7 @@ pub(super) fn finish(
 
 pub(super) struct PathControl<'a> {
     config: &'a PathConfig,
-    /// In the frame of sampling.
+    /// The target, in the coordinates of sampling.
     target: PathTarget,
     root: Root,
     mean: Vec<f64>,
@@ -182,7 +181,7 @@ pub(super) struct PathControl<'a> {
 }
 
 impl<'a> PathControl<'a> {
-    /// The control of a sample whose features are normalised by `statistics`.
+    /// The control of a sample with features normalized by `statistics`.
     pub fn new(
         config: &'a PathConfig,
         target: &PathTarget,
@@ -206,8 +205,8 @@ impl<'a> PathControl<'a> {
         t >= self.config.stop_timestep
     }
 
-    /// The noisy motion for the network, `[1, channels, time]`: with the path in it, or a step nearer to
-    /// it.
+    /// The noisy motion for the network, `[1, channels, time]`, moved towards the path by a
+    /// guidance step or with its root replaced by the path.
     pub fn noisy(&self, mut x_t: Tensor<3>, t: usize, diffusion: &GaussianDiffusion) -> Tensor<3> {
         if !self.acts(t) {
             return x_t;
@@ -235,8 +234,8 @@ impl<'a> PathControl<'a> {
         self.put(x_t, channels)
     }
 
-    /// The predicted clean motion, with the path in it if `override_target` is the sample. Notes its
-    /// rotations for the next step.
+    /// The predicted clean motion, with the root on the path if `override_target` is the sample.
+    /// Stores the rotations for the next step.
     pub fn clean(&self, x_start: Tensor<3>, t: usize) -> Tensor<3> {
         self.note_rotation(&x_start);
         let target = self.config.override_target;
@@ -246,7 +245,7 @@ impl<'a> PathControl<'a> {
         }
     }
 
-    /// The sampled motion, with the exact path if the root was replaced to the end.
+    /// The sampled motion. If the root is replaced to the end, the motion has the exact path.
     pub fn last(&self, x: Tensor<3>) -> Tensor<3> {
         if !self.config.method.replaces() || !self.acts(0) {
             return x;
@@ -260,7 +259,7 @@ impl<'a> PathControl<'a> {
         *self.turning.borrow_mut() = Some(rotation.collect());
     }
 
-    /// Normalised root channels on the path, relative to its own headings or those of the sample.
+    /// Normalized root channels on the path, relative to the path's or the sample's headings.
     fn channels(&self) -> Vec<Vec<f64>> {
         let points = &self.target.course.points;
         let turning = self.turning.borrow();
@@ -280,7 +279,7 @@ impl<'a> PathControl<'a> {
         (0..ROOT).map(channel).collect()
     }
 
-    /// Replaces root channels by normalised ones; the rotation only with `yaw`.
+    /// Replaces root channels by normalized channels; replaces the rotation only with `yaw`.
     fn put(&self, x: Tensor<3>, channels: Vec<Vec<f64>>) -> Tensor<3> {
         let [batch, all, frames] = x.dims();
         assert_eq!(batch, 1, "a path is of one motion");
@@ -296,7 +295,7 @@ impl<'a> PathControl<'a> {
         Tensor::cat(parts, 1)
     }
 
-    /// The root's first channels in radians and metres, `[frames]`.
+    /// The root's rotation and ground position per frame, in radians and meters.
     fn physical(&self, x: &Tensor<3>) -> Vec<[f64; 3]> {
         let [_, _, frames] = x.dims();
         let values = x.clone().narrow(1, 0, ROOT).try_into_vec_as::<f32>();

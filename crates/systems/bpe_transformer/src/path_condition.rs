@@ -11,7 +11,8 @@ use crate::network::PATH_CHANNELS;
 /// Channels of the root: rotation, x, z, height.
 const ROOT: usize = 4;
 
-/// Largest curvature of a condition, radians per metre: a standing body sways.
+/// Largest curvature of a condition, radians per meter; the limit is for the sway of standing
+/// bodies.
 const SHARPEST: f32 = 3.0;
 
 /// The root trajectories of training clips as path conditions.
@@ -24,7 +25,7 @@ pub(super) struct RootTrajectories {
 }
 
 impl RootTrajectories {
-    /// For clips normalised by `statistics`, with `fps` frames a second.
+    /// For clips normalized by `statistics`, with `fps` frames per second.
     pub fn new(root: Root, statistics: &Statistics, fps: f64) -> Self {
         Self {
             root,
@@ -34,7 +35,7 @@ impl RootTrajectories {
         }
     }
 
-    /// The path conditions of a batch of clips with the given lengths; zeros in the padding.
+    /// The path conditions of a batch of clips with the given lengths; padding has zeros.
     ///
     /// # Shapes
     /// - x_start: `[batch, channels, time]`
@@ -57,14 +58,14 @@ impl RootTrajectories {
     }
 }
 
-/// The condition of one path, a point per frame: `[1, PATH_CHANNELS, frames]`.
+/// The condition of one path with a point per frame: `[1, PATH_CHANNELS, frames]`.
 pub(super) fn of_path(points: &[[f64; 2]], fps: f64, device: &Device) -> Tensor<3> {
     let frames = points.len();
     let values = numbers(points, fps, frames);
     Tensor::from_data(TensorData::new(values, [1, PATH_CHANNELS, frames]), device)
 }
 
-/// The numbers of each frame, channel by channel, zeros up to `time`.
+/// The values of all frames, channel by channel, padded with zeros to `time`.
 fn numbers(track: &[[f64; 2]], fps: f64, time: usize) -> Vec<f32> {
     let features = PathFeatures::of(track);
     let mut values = vec![0.0; PATH_CHANNELS * time];
@@ -93,7 +94,8 @@ mod tests {
 
     #[test]
     fn conditions_are_the_paths_of_clips_for_both_roots_and_with_padding() {
-        // A quarter of a circle of 4 m, 60 and 40 of 64 frames, seen from the start facing +z.
+        // A quarter of a circle of 4 m, with 60 and 40 of 64 frames, relative to the start facing
+        // +z.
         let device = Device::flex();
         let track = |frames: usize| -> Vec<[f64; 2]> {
             let angle = |t: usize| t as f64 / 60.0 * std::f64::consts::FRAC_PI_2;
@@ -111,7 +113,7 @@ mod tests {
             let mut values = Vec::new();
             for frames in [60, 40] {
                 let headings: Vec<f64> = (0..frames).map(|t| 0.3 + 0.02 * t as f64).collect();
-                // A relative root begins without a turn.
+                // A relative root begins with heading 0.
                 let headings: Vec<f64> = match root {
                     Root::Absolute => headings,
                     Root::Relative => headings.iter().map(|h| h - 0.3).collect(),
@@ -136,7 +138,7 @@ mod tests {
                 let path = path.try_into_vec_as::<f32>().unwrap();
                 for (index, (own, path)) in own.iter().zip(&path).enumerate() {
                     let (channel, t) = (index / frames, index % frames);
-                    // Curvature is of second differences, one-sided at the ends.
+                    // Curvature uses second differences, which are one-sided at the ends.
                     if channel < 6 || (10..frames - 10).contains(&t) {
                         assert!(
                             (own - path).abs() < 0.02,

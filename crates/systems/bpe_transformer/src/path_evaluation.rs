@@ -1,5 +1,5 @@
-//! The evaluation of motion along paths: samples follow the root paths of held-out clips, with their
-//! captions and lengths.
+//! The evaluation of motion along paths: samples follow the root paths of held-out clips, with the
+//! clips' captions and lengths.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -21,27 +21,27 @@ use super::path::finish;
 use super::report::distance;
 use super::{BpeTables, Composer};
 
-/// Length of the shortest path that a sample follows, metres: a clip in place has none.
+/// Length of the shortest path that a sample follows, meters; excludes clips in place.
 const SHORTEST: f64 = 2.0;
 
-/// Errors of motions along their paths, and their quality: means over motions.
+/// Path errors and quality of motions: means over motions.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct PathFollowingReport {
     pub motions: usize,
     /// Mean distance of the root from the path, metres.
     pub mean_distance: Option<f64>,
-    /// The largest distance of each motion, metres.
+    /// Mean over motions of the root's largest distance from the path, meters.
     pub largest_distance: Option<f64>,
-    /// Mean distance of the root from where it should be in that frame, metres.
+    /// Mean distance of the root from its target position in each frame, meters.
     pub mean_error: Option<f64>,
-    /// Mean angle between the heading of the body and that of the path, degrees.
+    /// Mean angle between the headings of body and path, degrees.
     pub heading_error: Option<f64>,
-    /// Distance per frame that low, slow feet slide, metres.
+    /// Sliding distance of low, slow feet per frame, meters.
     pub slide: Option<f64>,
-    /// Share of the steps in which a toe slides, as published.
+    /// Share of the frame steps in which a toe slides, as published.
     pub foot_skating: Option<f64>,
     pub jerk: Option<f64>,
-    /// Fréchet distance of the mean normalised features from those of the clips.
+    /// Fréchet distance between the mean normalized features of samples and clips.
     pub frechet_distance: Option<f64>,
     pub seconds: Option<f64>,
 }
@@ -80,7 +80,7 @@ impl Metrics for PathFollowingReport {
     }
 }
 
-/// The metrics of samples and of the clips whose paths they follow.
+/// The metrics of samples, and of the clips that provide the samples' paths.
 pub(super) struct PathEvaluation {
     pub samples: PathFollowingReport,
     pub real: PathFollowingReport,
@@ -94,7 +94,7 @@ struct Walk {
 }
 
 impl Walk {
-    /// The first `max_frames` frames of a clip and its path; none if that is shorter than
+    /// The first `max_frames` frames of a clip and its path; `None` if the path is shorter than
     /// [`SHORTEST`].
     fn of(clip: &Clip, max_frames: usize, fps: f64) -> Option<Self> {
         let frames = clip.features.frames().min(max_frames);
@@ -109,8 +109,8 @@ impl Walk {
     }
 }
 
-/// Generates motion along the paths of `num_paths` clips, evenly chosen among those that walk, each
-/// as long as its clip and `max_frames` at most.
+/// Generates motion along the paths of `num_paths` clips, evenly chosen among walking clips. Each
+/// motion has the clip's length, at most `max_frames`.
 pub(super) fn evaluate(
     composer: &Composer,
     held_out: &[Arc<Clip>],

@@ -5,9 +5,9 @@
 //!                              / (channels * real frames)
 //! ```
 //!
-//! Each sample is in a random mode, absolute or relative; frames do not attend to padding. A
-//! path-conditioned network is given each clip's trajectory. `loss.velocity` adds the squared error of
-//! differences from the frame before.
+//! Each sample has a random mode, absolute or relative; frames do not attend to padding. A
+//! path-conditioned network is given each clip's trajectory. `loss.velocity` adds the squared error
+//! of differences from the previous frame.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::TEXT;
@@ -20,8 +20,8 @@ use super::BpeTables;
 use super::path_condition::RootTrajectories;
 use crate::network::{BlendedTransformer, Pass, Switch, TextSegments};
 
-/// Trains a [`BlendedTransformer`] on clips of `channels` according to `own`, validated on
-/// `held_out` in the mode of sampling at each timestep.
+/// Trains a [`BlendedTransformer`] on clips of `channels` according to `own`. Validation on
+/// `held_out` uses sampling's mode at each timestep.
 pub(super) fn recipe(
     diffusion: GaussianDiffusion,
     channels: usize,
@@ -81,8 +81,8 @@ fn modes(key: DropoutKey, batch: usize, ratio: f64) -> Option<Vec<bool>> {
     Some(uniforms.into_iter().map(|u| f64::from(u) < ratio).collect())
 }
 
-/// The path dropout mask of a training step: 0 for dropped, else 1, `[batch, 1, 1]`; `None` without
-/// dropout.
+/// The path dropout mask of a training step, `[batch, 1, 1]`: 0 for dropped paths, else 1; `None`
+/// without dropout.
 fn path_mask(key: DropoutKey, batch: usize, drop_prob: f64, device: &Device) -> Option<Tensor<3>> {
     let key = key.filter(|_| drop_prob > 0.0)?.named("path");
     let uniforms = key.uniforms(batch).into_iter();

@@ -1,4 +1,4 @@
-//! Metrics of composed motion and of its transitions from one text to the next.
+//! Metrics of composed motion, and of transitions between texts.
 
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::{Features, Joints, Skeleton};
@@ -13,37 +13,37 @@ use serde::Serialize;
 pub(super) struct ComposedReport {
     pub motions: usize,
     pub jerk: Option<f64>,
-    /// Share of the steps in which a toe slides, as published.
+    /// Share of the frame steps in which a toe slides, as published.
     pub foot_skating: Option<f64>,
-    /// Height of the lowest joint of all frames above the floor, metres.
+    /// Lowest height of any joint above the floor, over all frames, meters.
     pub lowest_joint: Option<f64>,
     pub speed: Option<f64>,
     pub transitions: usize,
-    /// Peak jerk around transitions ([`TransitionJerk::peak`]), metres per frame cubed; around the
-    /// middles of real clips for those.
+    /// Peak jerk around transitions ([`TransitionJerk::peak`]), or around the middles of real
+    /// clips; meters per frame cubed.
     pub peak_jerk: Option<f64>,
-    /// Area under the jerk ([`TransitionJerk::area`]) against the mean jerk of real windows.
+    /// Area between the jerk and the mean jerk of real windows ([`TransitionJerk::area`]).
     pub area_under_jerk: Option<f64>,
-    /// Fréchet distance of the mean normalised features of segments from those of real clips.
+    /// Fréchet distance between the mean normalized features of segments and of real clips.
     pub frechet_distance: Option<f64>,
 }
 
 pub(super) struct Measured<'a> {
-    /// Complete ones.
+    /// Complete motions.
     pub motions: &'a [Joints],
-    /// Windows around transitions, each decoded from its own first frame.
+    /// Windows around transitions; each window is decoded from its own first frame.
     pub windows: &'a [Joints],
     /// Clips, or the part of a composition that belongs to one text.
     pub segments: &'a [Features],
 }
 
 impl Measured<'_> {
-    /// The mean jerk of all windows, metres per frame cubed; none without windows.
+    /// The mean jerk of all windows, meters per frame cubed; `None` without windows.
     pub fn window_jerk(&self) -> Option<f64> {
         mean(self.windows.iter().flat_map(jerk_of_frames).collect())
     }
 
-    /// The report; `real` are the segments that samples are compared with.
+    /// The report; `real` are the real segments for comparison.
     pub fn report(
         &self,
         skeleton: &Skeleton,
@@ -86,7 +86,7 @@ fn mean(values: Vec<f64>) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// Fréchet distance of the mean normalised features of clips from those of real ones.
+/// Fréchet distance between the mean normalized features of clips and of real clips.
 pub(super) fn distance(
     clips: &[Features],
     real: &[Features],
@@ -99,7 +99,7 @@ pub(super) fn distance(
     Some(frechet_distance(&moments(clips)?, &moments(real)?))
 }
 
-/// The mean over frames of each normalised channel.
+/// The mean over frames of each normalized channel.
 fn means(features: &Features, statistics: &Statistics) -> Vec<f64> {
     let channels = features.layout().channels();
     let rows = statistics.normalize(features.as_slice());

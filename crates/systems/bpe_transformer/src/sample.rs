@@ -16,7 +16,7 @@ use super::load::{footprint, text_input};
 use super::path::finish;
 use super::{BpeTables, BpeTransformer, Composer, PathMethod};
 
-/// Length that a leg may lack without a warning, metres.
+/// Largest missing leg length that causes no warning, meters.
 const LEGS_SHORT: f64 = 0.02;
 
 pub(super) struct Compositions<'a> {

@@ -4,9 +4,10 @@
 //! RAYON_NUM_THREADS=1 cargo run --release -p kinegrad-models --example flow_speed
 //! ```
 //!
-//! prints how many frames a second a rollout samples by solver and steps, and the milliseconds of one
-//! forward and backward pass of both networks over 64 windows of fifteen rows, with the kernels and
-//! with composed operations. With a number of Euler steps as argument, the rollout with so many alone.
+//! The example prints a rollout's frames per second by solver and number of steps. It also prints
+//! the milliseconds of one forward and backward pass of both networks over 64 windows of 15 rows,
+//! with the kernels and with composed operations. With a number of Euler steps as argument, the
+//! example prints only the rollout with these steps.
 
 use std::time::Instant;
 
@@ -53,7 +54,7 @@ fn main() {
     }
 }
 
-/// Frames a second.
+/// Frames per second of a rollout.
 fn rollout(kind: SamplerKind, num_inference_steps: usize, guidance_scale: f64) -> f64 {
     let (device, skeleton) = (Device::flex(), Skeleton::humanml3d());
     let course = Course {
@@ -66,7 +67,7 @@ fn rollout(kind: SamplerKind, num_inference_steps: usize, guidance_scale: f64) -
     let model = FlowConfig::published()
         .init(&skeleton, &init)
         .expect("valid");
-    // Poses that stay about where they are: the weights have learned nothing.
+    // Keeps poses nearly constant, because the weights are untrained.
     let target = Statistics::new(vec![0.0; 66], vec![1e-3; 66], None).expect("valid");
     let space = FlowSpace {
         features: Statistics::unit(skeleton.layout().channels()),

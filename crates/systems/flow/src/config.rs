@@ -59,7 +59,7 @@ pub enum FlowNetwork {
 }
 
 impl FlowNetwork {
-    /// Its sizes.
+    /// Sizes of the networks.
     pub fn sizes(&self) -> &FlowConfig {
         let Self::Flow(sizes) = self;
         sizes
@@ -76,7 +76,7 @@ impl Default for FlowNetwork {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PoseConfig {
-    /// Rows of features in a history; a motion continues from one frame more.
+    /// Rows of features in a history; a motion continues from one more frame.
     pub history_frames: usize,
     /// The form of the target: `position` or `displacement`, in the present frame's facing frame.
     pub target: NextPose,
@@ -84,9 +84,9 @@ pub struct PoseConfig {
     pub prediction_type: FlowPrediction,
     /// Probability of dropping a training sample's text, for classifier-free guidance.
     pub cond_drop_prob: f64,
-    /// Standard deviation of the noise on training histories, metres, of the whole body and of each
-    /// joint. The next pose corrects a tenth of it. A network trained on recorded histories only
-    /// cannot correct its own errors.
+    /// Standard deviation of the noise on training histories, in meters, for the whole body and for
+    /// each joint. The next pose corrects a tenth of the noise. A network trained only on recorded
+    /// histories cannot correct its own errors.
     pub history_noise_std: f64,
 }
 
@@ -102,19 +102,20 @@ impl Default for PoseConfig {
     }
 }
 
-/// The table `evaluation`: the settings of `kinegrad eval`, which continues held-out clips, and of
-/// sampling.
+/// The table `evaluation`: settings of sampling and of `kinegrad eval`, which continues held-out
+/// clips.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RolloutEvaluationConfig {
-    /// Number of held-out clips, evenly from all, with one rollout each.
+    /// Number of held-out clips, evenly selected, with one rollout each.
     pub rollouts: usize,
     /// Frames of each rollout.
     pub frames: usize,
-    /// Gives every frame the bones of the history's last one: forward kinematics of its rotations
-    /// from inverse kinematics.
+    /// Gives every frame the bone lengths of the history's last frame: rotations from inverse
+    /// kinematics, then forward kinematics.
     pub constant_bones: bool,
-    /// Samples every pose of a motion from the same noise, not each from new noise: less shaking.
+    /// Samples all poses of a motion from the same noise instead of new noise per pose, which
+    /// reduces shaking.
     pub same_noise: bool,
 }
 

@@ -68,7 +68,8 @@ pub(super) fn prepare<'a>(
     })
 }
 
-/// One rollout for the text of each clip and, where another clip has another text, one for that.
+/// One rollout per clip for the clip's text, and one for the text of another clip with another
+/// text, if any.
 fn evaluate(
     generator: &FlowGenerator,
     held_out: &[Arc<Clip>],
@@ -93,7 +94,8 @@ fn evaluate(
         (history, part(&joints, begin, joints.frames()))
     };
     let frames = settings.frames;
-    // The rollouts of each clip by text, and the velocity evaluations of the first.
+    // The rollouts of each clip by text, and the number of velocity evaluations in the first
+    // rollouts.
     let count = held_out.len();
     let rollouts = for_each_item(&request.group, count, on_step, |number, on_step| {
         let clip = &held_out[number];
@@ -170,7 +172,7 @@ fn evaluate(
     })
 }
 
-/// Frames of a clip before a rollout, the same for all runs with short histories.
+/// Frames of a clip before a rollout; all runs with short histories have the same number.
 fn beginning(history_frames: usize) -> usize {
     history_frames.max(RolloutReport::SHORTEST)
 }

@@ -14,7 +14,7 @@ use super::load::{model, text_input};
 use super::{FlowTables, RolloutEvaluationConfig, statistics_in};
 use crate::network::{FlowModel, FlowRollout, FlowSpace, RolloutSettings};
 
-/// A trained pair of networks that continues histories.
+/// A trained pair of networks that continues a history.
 pub struct FlowGenerator {
     model: FlowModel,
     space: FlowSpace,
@@ -55,7 +55,7 @@ impl FlowGenerator {
         &self.state.config
     }
 
-    /// The 512 numbers of a text, for [`FlowRollout::push_text`]; zeros for none.
+    /// The 512 numbers of a text, for [`FlowRollout::push_text`]; zeros without a text.
     ///
     /// # Errors
     /// [`Error::Usage`] for a text that the model does not know.
@@ -72,7 +72,7 @@ impl FlowGenerator {
         Ok(numbers.expect("weights are float32"))
     }
 
-    /// The next frame of the motion called `sample`; none after the last.
+    /// The next frame of the motion with name `sample`; `None` after the last frame.
     pub(super) fn next_frame(
         rollout: &mut FlowRollout,
         sample: &dyn Fn() -> String,
@@ -86,11 +86,12 @@ impl FlowGenerator {
         })
     }
 
-    /// A rollout before its first frame, without a text: `frames` frames will follow the `history`
-    /// (joints in metres above the floor at the skeleton's rate), sampled according to `how`.
+    /// A rollout before its first frame, without a text. Sampled according to `how`, `frames`
+    /// frames will follow the `history` (joints in meters above the floor, at the skeleton's frame
+    /// rate).
     ///
     /// # Errors
-    /// If the history is too short or of another skeleton, or a setting cannot work.
+    /// If the history is too short or has another skeleton, or a setting is invalid.
     pub fn rollout(
         &self,
         history: &Joints,

@@ -1,8 +1,8 @@
 //! Autoregressive motion: a history encoder and flow matching of the next pose (docs/sources.md,
 //! section 5).
 //!
-//! Recipe `flow` trains them on windows of clips. [`FlowGenerator`] continues a history, with texts
-//! that may change.
+//! Recipe `flow` trains both networks on windows of clips. [`FlowGenerator`] continues a history,
+//! with texts that may change.
 
 mod config;
 mod evaluate;
@@ -114,7 +114,7 @@ impl System for Flow {
     }
 }
 
-/// The statistics of features and poses of a run.
+/// A run's statistics of features and poses.
 fn statistics_in(state: &State) -> Result<[Statistics; 2], Error> {
     let features = state.clip_statistics()?.clone();
     let skeleton = state.config.data.humanml3d.skeleton.skeleton();

@@ -5,7 +5,7 @@
 //! L   = mean over samples, joints and coordinates of  (v_theta(x_t, t, context) - v)^2
 //! ```
 //!
-//! with the target of `pose.prediction_type` in the place of `v = x_start - noise` (docs/sources.md,
+//! with the target of `pose.prediction_type` instead of `v = x_start - noise` (docs/sources.md,
 //! section 5).
 
 use burn::tensor::{Device, Tensor, TensorData};
@@ -34,16 +34,16 @@ pub struct FlowRandomInputs {
     pub times: Vec<f64>,
     /// Standard normal: `[batch, 3, J]`.
     pub noise: Tensor<3>,
-    /// 0 where the text is dropped, else 1: `[batch, 1, 1]`. `None` drops none.
+    /// 0 for dropped texts, else 1: `[batch, 1, 1]`. `None` drops no text.
     pub text_mask: Option<Tensor<3>>,
 }
 
 impl FlowRecipe {
-    /// The loss of a batch of windows: poses as `x_start`, `[batch, 3 J, 1]`, joint by joint, and the
-    /// conditions [`HISTORY`], [`PLACE`] and `text`.
+    /// The loss of a batch of windows. `x_start` has the poses, `[batch, 3 J, 1]`, joint by joint;
+    /// the conditions are [`HISTORY`], [`PLACE`] and `text`.
     ///
     /// # Panics
-    /// Without one of the conditions.
+    /// If a condition is missing.
     pub fn loss_of(&self, model: &FlowModel, inputs: Inputs, draws: FlowRandomInputs) -> Loss {
         let Inputs { x_start, cond, .. } = inputs;
         let prediction_type = self.pose.prediction_type;
@@ -119,7 +119,7 @@ impl Recipe for FlowRecipe {
         self.loss_of(model, inputs, draws)
     }
 
-    /// At flow times that are evenly spread over items and repeats.
+    /// Flow times are evenly spread over items and repeats.
     fn validation_loss(&self, model: &FlowModel, device: &Device) -> Measured {
         let (all, repeats) = (self.held_out.len(), self.held_out.draws());
         let total = self.held_out.mean(device, |repeat, range, inputs| {

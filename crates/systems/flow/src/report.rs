@@ -13,29 +13,30 @@ use super::windows::rows;
 pub(super) struct RolloutReport {
     pub motions: usize,
     pub jerk: Option<f64>,
-    /// The same in the last quarter of each motion.
+    /// Mean jerk in the last quarter of each motion.
     pub jerk_at_end: Option<f64>,
-    /// Share of the steps in which a toe slides, as published.
+    /// Share of the frame steps in which a toe slides, as published.
     pub foot_skating: Option<f64>,
-    /// Largest change of a bone's length against the history's last frame, as a share of it.
+    /// Largest change of a bone's length since the history's last frame, relative to that length.
     pub bone_change: Option<f64>,
-    /// Height of the lowest joint of all frames above the floor, metres.
+    /// Lowest height of any joint above the floor, over all frames, meters.
     pub lowest_joint: Option<f64>,
-    /// Height of the root in the last quarter less that in the first, metres.
+    /// Difference of the root's mean height between the last and the first quarter, meters.
     pub height_drift: Option<f64>,
     pub speed: Option<f64>,
-    /// Mean speed of the heading's turns, degrees per second.
+    /// Mean turning speed of the heading, degrees per second.
     pub turn_rate: Option<f64>,
-    /// Fréchet distance of the mean places of joints about the root from those of real motion.
+    /// Fréchet distance between the mean joint positions relative to the root in samples and in
+    /// real motion.
     pub frechet_distance: Option<f64>,
 }
 
 impl RolloutReport {
-    /// Frames of the shortest motion.
+    /// Number of frames of the shortest motion.
     pub const SHORTEST: usize = 16;
 
-    /// The report of motions of [`SHORTEST`](Self::SHORTEST) frames or more, each with the
-    /// [bones](bone_lengths) that it began with, beside `real` ones.
+    /// The report of motions with at least [`SHORTEST`](Self::SHORTEST) frames, compared with
+    /// `real` motions. Each motion has its initial [bone lengths](bone_lengths).
     pub fn compute(
         skeleton: &Skeleton,
         motions: &[(Vec<f64>, Joints)],
@@ -84,7 +85,7 @@ impl RolloutReport {
                 mean(turns.map(f64::abs).collect())
             }),
             frechet_distance: match std::ptr::eq(motions, real) {
-                // Real motion has none from itself.
+                // Real motion has no distance from itself.
                 true => None,
                 false => moments(motions)
                     .zip(moments(real))
@@ -120,7 +121,7 @@ pub(super) struct TextReport {
 }
 
 impl TextReport {
-    /// The report of pairs of a motion and its reference, of as many frames.
+    /// The report of pairs of a motion and a reference of equal length.
     pub fn compute(skeleton: &Skeleton, pairs: &[(Joints, Joints)]) -> Self {
         let apart = |of: &dyn Fn(&Joints) -> Option<f64>| {
             let both = pairs.iter().filter_map(|(a, b)| of(a).zip(of(b)));
@@ -143,7 +144,7 @@ impl TextReport {
     }
 }
 
-/// Distances of the joints but the root from their parents in one frame, metres.
+/// Distances of the joints (except the root) from their parents in one frame, meters.
 pub(super) fn bone_lengths(skeleton: &Skeleton, frame: &[[f64; 3]]) -> Vec<f64> {
     let offsets = skeleton.offsets_of_frame(frame).into_iter().skip(1);
     offsets.map(length).collect()
@@ -153,14 +154,14 @@ fn mean(values: Vec<f64>) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// A quarter of a motion, from 0.
+/// Quarter `number` of a motion, counted from 0.
 fn quarter(joints: &Joints, number: usize) -> Joints {
     let frames = joints.frames();
     let places = (number * frames / 4..(number + 1) * frames / 4).flat_map(|t| joints.frame(t));
     Joints::new(places.copied().collect(), joints.joints()).expect("whole frames")
 }
 
-/// Mean over time of each joint's place about the root.
+/// Mean over time of each joint's position relative to the root.
 fn mean_places(skeleton: &Skeleton, joints: &Joints) -> Option<Vec<f64>> {
     let rows = rows(skeleton, joints).ok()?;
     let layout = skeleton.layout();
@@ -178,12 +179,12 @@ fn speed(skeleton: &Skeleton, joints: &Joints) -> Option<f64> {
     mean(joints.track(0).windows(2).map(step).collect())
 }
 
-/// Turns of the heading from frame to frame, degrees per second, positive to the left.
+/// Turning speed of the heading from frame to frame, degrees per second, positive to the left.
 fn turns(skeleton: &Skeleton, joints: &Joints) -> Option<Vec<f64>> {
     let rows = rows(skeleton, joints).ok()?;
     let turn = FeatureLayout::ROOT.start;
     let fps = skeleton.description().fps;
-    // The channel is the arc sine of the quaternion's part along y: half of the turn.
+    // The channel is the arcsine of the quaternion's y component: half of the turn.
     let turns = rows
         .iter()
         .map(|row| (2.0 * f64::from(row[turn])).to_degrees() * fps);
@@ -239,7 +240,7 @@ mod tests {
             |a: &Joints, b: &Joints| TextReport::compute(&skeleton, &[(a.clone(), b.clone())]);
         let same = report(&walks[0], &walks[0]);
         assert_eq!((same.speed_error, same.turn_error), (Some(0.0), Some(0.0)));
-        // Twice as wide is twice as fast; mirrored has the opposite curvature.
+        // A walk scaled by two has twice the speed; a mirrored walk has the opposite curvature.
         let wide = changed(&walks[0], |[x, y, z]| [2.0 * x, y, 2.0 * z]);
         assert!(report(&walks[0], &wide).speed_error > Some(0.3));
         let other = report(&walks[0], &walks[1]);

@@ -124,8 +124,8 @@ impl<'a> Rollouts<'a> {
         Ok(rollouts)
     }
 
-    /// The clip that a rollout without a history begins with: one whose caption is the first text, a
-    /// held-out one if there is one.
+    /// The initial clip of a rollout without a history: a clip with the first text as caption,
+    /// preferably held out.
     fn chosen(
         &self,
         prompts: Option<&[TimedPrompt]>,
@@ -212,7 +212,8 @@ impl Sampler for Rollouts<'_> {
     }
 }
 
-/// The first clip of at least `needed` frames with the caption `text`, else the first clip.
+/// The first clip with the caption `text` and at least `needed` frames. Without such a clip, the
+/// first clip.
 fn clip_with_caption(
     sets: &[&ItemSet<Clip>],
     text: Option<&str>,
@@ -233,7 +234,7 @@ fn clip_with_caption(
             first.get_or_insert(clip);
         }
     }
-    // One that is too short is refused by its name.
+    // A clip that is too short causes an error with the clip's name.
     Ok(first.or(too_short))
 }
 
@@ -252,10 +253,10 @@ pub(super) fn guidance_without_dropout(trained: &TrainedModel, own: &FlowTables)
 /// Largest coordinate of a history, metres.
 const FURTHEST: f32 = 1e4;
 
-/// Lengths of bones, metres.
+/// Allowed lengths of bones, meters.
 const BONES: RangeInclusive<f64> = 0.005..=3.0;
 
-/// Heights of the lowest joint, metres, on the floor or in a leap.
+/// Allowed heights of the lowest joint in meters, from the floor to a leap.
 const LOWEST: RangeInclusive<f64> = -0.5..=1.5;
 
 /// Joints `[T, J, 3]`.
@@ -309,7 +310,7 @@ fn read_history(path: &Path, space: &PoseSpace) -> Result<Joints, Error> {
             )));
         }
     }
-    // Motion without features is rejected with the file's name.
+    // Motion without features causes an error with the file's name.
     match space.rows(&found) {
         Ok(_) => Ok(found),
         Err(error) => Err(refused(error.to_string())),

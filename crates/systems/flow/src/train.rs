@@ -56,8 +56,8 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
     context.train(training_data, recipe, model, observer)
 }
 
-/// The statistics of the training clips with the heading of each frame, which is smoothed in those of
-/// the dataset.
+/// The statistics of the training clips with each frame's own heading. The dataset's statistics use
+/// smoothed headings.
 fn measured(
     dataset: &Dataset<Clip>,
     space: &PoseSpace,

@@ -17,8 +17,8 @@ use super::PoseConfig;
 /// Name of the condition on past frames, `[12 J - 1, history]`, normalised.
 pub const HISTORY: &str = "history";
 
-/// Name of the condition on the place of the next pose in the motion, `[2, 1]`: progress, from 1 at the
-/// first pose to 0 at the last, and the number of poses over those of the longest motion.
+/// Name of the condition on the next pose's position in the motion, `[2, 1]`: progress, from 1 at
+/// the first pose to 0 at the last pose, and the number of poses relative to the longest motion.
 pub const PLACE: &str = "place";
 
 /// The representation of a sample.
@@ -55,8 +55,9 @@ impl PoseSpace {
         rows(&self.skeleton, frames)
     }
 
-    /// Moments of the features and of the target of a clip, turned by four angles: training turns
-    /// windows by any angle, and rotations depend on it. With noise on histories, of noised windows.
+    /// Moments of a clip's features and target, over the clip turned by four angles: training turns
+    /// windows by random angles, and rotations depend on the angle. With noise on histories, the
+    /// moments of noised windows.
     pub fn moments(&self, clip: &Clip) -> [ChannelMoments; 2] {
         let joints = clip.features.joints();
         let (mut histories, mut targets) = (Vec::new(), Vec::new());
@@ -97,8 +98,8 @@ impl PoseSpace {
     }
 }
 
-/// The rows of features of `frames`, one less than those, each with its own heading. The first frame
-/// may face anywhere.
+/// The rows of features of `frames`, one row less than frames; each row has its own heading. The
+/// first frame may face any direction.
 pub(super) fn rows(skeleton: &Skeleton, frames: &Joints) -> Result<Vec<Vec<f32>>, FeatureError> {
     let threshold = Extraction::default().contact_threshold;
     let mut stream = FeatureStream::new(skeleton.clone(), threshold)?.with_own_heading();
@@ -109,8 +110,8 @@ pub(super) fn rows(skeleton: &Skeleton, frames: &Joints) -> Result<Vec<Vec<f32>>
     Ok(rows)
 }
 
-/// Windows of clips: one per sample, at a new random position and heading in each epoch, because
-/// rotation features depend on the heading.
+/// Windows of clips, one per sample. Each epoch has new random window positions and headings,
+/// because rotation features depend on the heading.
 #[derive(Clone, Debug)]
 pub(super) struct PoseWindows {
     pub clips: ClipSet,
@@ -159,7 +160,7 @@ impl Samples for PoseWindows {
         self.clips.get(position)
     }
 
-    /// Validation takes the first caption, and a window that follows from the clip's id.
+    /// Validation uses the first caption, and a window determined by the clip's id.
     fn push(&self, batch: &mut Batch, clip: &Arc<Clip>, number: Option<u64>) {
         let key = |purpose| match number {
             Some(number) => Key::new(self.seed, purpose).at(number),
@@ -208,13 +209,13 @@ impl Samples for PoseWindows {
     }
 }
 
-/// Progress and duration of pose number `pose` of so many.
+/// Progress and duration of pose number `pose` of `poses` poses.
 pub(super) fn place(pose: usize, poses: usize, longest: usize) -> [f32; 2] {
     let behind = pose as f32 / (poses - 1).max(1) as f32;
     [1.0 - behind, poses.min(longest) as f32 / longest as f32]
 }
 
-/// Some frames, turned about the vertical axis by an angle in radians.
+/// The frames `frames`, turned about the vertical axis by an angle in radians.
 fn turned(joints: &Joints, frames: std::ops::Range<usize>, angle: f64) -> Joints {
     let turn = Quaternion::from_yaw(angle);
     let places = frames.flat_map(|t| joints.frame(t).iter().map(|&place| turn.rotate(place)));
@@ -225,13 +226,14 @@ fn turned(joints: &Joints, frames: std::ops::Range<usize>, angle: f64) -> Joints
 /// motion shake, because the network cannot infer the error from the history.
 const RETURN: f64 = 0.1;
 
-/// Steps of a history over which a drift grows to its deviation: the length of the source's
-/// histories. In shorter ones it grows as fast and ends smaller.
+/// Number of steps over which a drift grows to its standard deviation: the length of the source's
+/// histories. In shorter histories, the drift grows at the same rate and ends smaller.
 const DRIFT_STEPS: f64 = 16.0;
 
-/// The frames plus a random walk on all but the last, of the whole body and of each joint, each
-/// with a deviation of `deviation` metres after [`DRIFT_STEPS`]. The last frame has what [`RETURN`]
-/// leaves of it, so that a target from the last two frames corrects that share.
+/// Adds random walks of the whole body and of each joint to the frames. Each random walk has a
+/// standard deviation of `deviation` meters after [`DRIFT_STEPS`]. The last frame has the previous
+/// frame's drift reduced by the share [`RETURN`], so that a target from the last two frames
+/// corrects this share.
 fn drifting(window: &Joints, deviation: f64, key: Key) -> Joints {
     let (frames, joints) = (window.frames(), window.joints());
     let steps = frames - 1;
@@ -294,7 +296,7 @@ mod tests {
         }
     }
 
-    /// Windows with numbers as they are.
+    /// Windows without normalization.
     fn windows(target: NextPose) -> PoseWindows {
         let clips = Dataset::<Clip>::open(&config()).expect("walks").train;
         let [features, poses] = [263, 66].map(|channels| Arc::new(Statistics::unit(channels)));
@@ -337,7 +339,7 @@ mod tests {
                 let last = first + HISTORY_FRAMES;
                 let expected = target.of_row(&rows[last]).expect("a pose");
                 assert_eq!(batch.x_start[sample * 66..][..66], expected);
-                // Nothing of the pose is in the history: its last row ends at the frame before.
+                // The history does not contain the pose: the last row ends at the previous frame.
                 assert_ne!(
                     target.of_row(found.last().expect("rows")).expect("a pose"),
                     expected
@@ -371,7 +373,7 @@ mod tests {
                 let rows = space(NextPose::Displacement).rows(&clip.features.joints());
                 let rows = rows.expect("rows");
                 let found = history(&batch, sample);
-                // All but the rotations are as in the clip, in any direction.
+                // Except for rotations, features equal the clip's features in any direction.
                 let apart = |first: usize, range: std::ops::Range<usize>| {
                     let pairs = rows[first..].iter().zip(&found);
                     let each = pairs.flat_map(|(a, b)| {
@@ -447,7 +449,7 @@ mod tests {
             let squares: f64 = values.iter().map(|value| value * value).sum();
             (squares / values.len() as f64).sqrt()
         };
-        // As fast as over the sixteen steps of the source's histories.
+        // The same growth rate as over the sixteen steps of the source's histories.
         let expected = 0.03 * ((HISTORY_FRAMES + 1) as f64 / 16.0).sqrt();
         for found in [deviation(&heights), deviation(&beside)] {
             let share = found / expected;
@@ -474,7 +476,7 @@ mod tests {
         assert_ne!(history(&plain, 0), history(&drifted, 0));
         assert_ne!(plain.x_start, drifted.x_start);
         assert_eq!(drifted.x_start, again.x_start);
-        // Statistics know of it: the trunk hardly moves from frame to frame, and drifts do.
+        // Statistics include the drift: the trunk hardly moves from frame to frame, but drifts do.
         let deviation = |drift: f64| {
             let [_, target] = PoseSpace {
                 drift,

@@ -7,10 +7,10 @@ use serde::{Deserialize, Serialize};
 /// Channels of an attention head.
 pub const HEAD_CHANNELS: usize = 64;
 
-/// Channels of a head, from the first on, that rotate in relative mode.
+/// Number of leading channels of a head that rotate in relative mode.
 pub const ROTATED_CHANNELS: usize = 32;
 
-/// Furthest frame that is attended to.
+/// Largest allowed `horizon`.
 const MAX_HORIZON: usize = 100_000;
 
 /// The sizes of a [`BlendedTransformer`](super::BlendedTransformer).
@@ -19,20 +19,20 @@ const MAX_HORIZON: usize = 100_000;
 pub struct BlendedConfig {
     /// Width of a token.
     pub latent_dim: usize,
-    /// Layers, each of attention and feed-forward.
+    /// Number of layers; each has attention and feed-forward.
     pub num_layers: usize,
-    /// Attention heads, of 64 channels each for any width.
+    /// Attention heads; each has 64 channels at any width.
     pub num_heads: usize,
-    /// Width inside a feed-forward, rounded to a multiple of `latent_dim` as the published program
-    /// does.
+    /// Width inside a feed-forward, rounded to a multiple of `latent_dim` as in the published
+    /// program.
     pub ff_size: usize,
-    /// Frames before and after a frame that it attends to, in both modes.
+    /// Number of frames before and after each frame that the frame attends to, in both modes.
     pub horizon: usize,
-    /// Dropout of the tokens in training, and how often a layer's attention or feed-forward is left
-    /// out (stochastic depth, Huang et al. 2016).
+    /// Dropout of the tokens in training, and probability of skipping a layer's attention or
+    /// feed-forward (stochastic depth, Huang et al. 2016).
     pub dropout: f64,
-    /// Conditions each frame on a root path (docs/sources.md, section 7, option C), which the
-    /// published network does not.
+    /// Conditions each frame on a root path (docs/sources.md, section 7, option C). Not in the
+    /// published network.
     pub path: bool,
 }
 
@@ -87,7 +87,7 @@ impl BlendedConfig {
     }
 
     /// # Errors
-    /// Names the key that no network can be built from.
+    /// Names the invalid key.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         must_be_even(self.latent_dim, "the published model has 512")?;
         in_range("model.num_layers", self.num_layers, 1..=MAX_LAYERS)
@@ -103,13 +103,14 @@ impl BlendedConfig {
             .hint("0.1 in the published training; 0 for none")
     }
 
-    /// Width inside a feed-forward: `ff_size` as a multiple of the width, halves to even.
+    /// Width inside a feed-forward: `ff_size` rounded to a multiple of the width, with ties to
+    /// even.
     pub(super) fn inner_width(&self) -> usize {
         let times = (self.ff_size as f64 / self.latent_dim as f64).round_ties_even();
         self.latent_dim * (times as usize).max(1)
     }
 
-    /// Numbers that the backward pass keeps of one item of `frames` frames, roughly.
+    /// Approximate number of values kept for the backward pass, per item of `frames` frames.
     pub fn activations(&self, frames: usize) -> u64 {
         let heads = self.num_heads * HEAD_CHANNELS;
         let layer = 8 * self.latent_dim + 8 * heads + 2 * self.inner_width();

@@ -1,8 +1,9 @@
 //! The transformer with blended positional encodings (Barquero et al. 2024, "Seamless Human Motion
-//! Composition with Blended Positional Encodings", <https://arxiv.org/abs/2402.15509>; docs/sources.md,
-//! section 6): one sequence for several texts. In absolute mode frames attend within their text's
-//! segment, with their position in it; in relative mode they attend across segments, with relative
-//! positions alone. Sampling begins in the first mode and ends in the second.
+//! Composition with Blended Positional Encodings", <https://arxiv.org/abs/2402.15509>;
+//! docs/sources.md, section 6): one sequence for several texts. In absolute mode, frames attend
+//! within their text's segment, with positions in the segment. In relative mode, frames attend
+//! across segments, with only relative positions. Sampling begins in absolute mode and ends in
+//! relative mode.
 //!
 //! Parameters have the names of the published model.
 #![expect(
@@ -33,13 +34,13 @@ pub use text_segments::{Segment, TextSegments};
 
 use sublayers::SubLayer;
 
-/// Channels of a path in a frame: position x and z, metres; velocity along both, metres per second;
-/// sine and cosine of the heading; curvature, 1 / metre.
+/// Channels of a path in a frame: position x and z, meters; velocity along x and z, meters per
+/// second; sine and cosine of the heading; curvature, 1 / meter.
 pub const PATH_CHANNELS: usize = 7;
 
-/// The sampling steps with relative positions: the published `bpe_denoising_step`, k. Of T
-/// timesteps t is relative if `t <= T - k`, so that `k - 1` steps are absolute; at -1 all are, at 0
-/// none.
+/// The sampling steps with relative positions: the published `bpe_denoising_step`, k. With T
+/// timesteps, t is relative if `t <= T - k`, so `k - 1` steps are absolute. For k = -1 all steps
+/// are absolute, for k = 0 none.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
 pub struct Switch {
     /// k.
@@ -70,8 +71,8 @@ pub struct Pass<'a> {
     pub dropout: DropoutKey,
     /// Root paths, `[batch, PATH_CHANNELS, time]`; `None` for motion without a path.
     pub path: Option<&'a Tensor<3>>,
-    /// 1 for motions that are conditioned on their path, else 0: `[batch, 1, 1]`.
-    /// `None` conditions all.
+    /// 1 for motions conditioned on their path, else 0: `[batch, 1, 1]`. `None` conditions all
+    /// motions.
     pub path_mask: Option<&'a Tensor<3>>,
 }
 
@@ -154,7 +155,7 @@ impl BlendedConfig {
 }
 
 impl BlendedTransformer {
-    /// The same network with a learned embedding for each of so many captions.
+    /// The same network with a learned embedding for each of `captions` captions.
     #[must_use]
     pub fn with_captions(self, captions: usize, init: &Initializer) -> Self {
         let features = self.embed_text.inputs();
@@ -166,7 +167,7 @@ impl BlendedTransformer {
 
     /// # Shapes
     /// - x_t, output: `[batch, channels, time]`
-    /// - texts: `[texts, text channels]`, or `[texts, captions]`; zeros stand for no text
+    /// - texts: `[texts, text channels]`, or `[texts, captions]`; zeros mean no text
     ///
     /// # Panics
     /// If the sizes do not fit.
@@ -180,8 +181,9 @@ impl BlendedTransformer {
         self.forward_stages(x_t, time, texts, pass, &mut ())
     }
 
-    /// [`forward`](Self::forward) with its stages, `[batch, width, time]`: `cond`, `pose_embedding`, `project_in`, `absolute`, `tokens`, `layerI.branch` and `layerI.sum` of
-    /// sub-layer I, `final_norm`, `project_out`.
+    /// [`forward`](Self::forward) with stages, `[batch, width, time]`: `cond`, `pose_embedding`,
+    /// `project_in`, `absolute`, `tokens`, `layerI.branch` and `layerI.sum` of sub-layer I,
+    /// `final_norm`, `project_out`.
     ///
     /// # Panics
     /// As [`forward`](Self::forward).
@@ -251,13 +253,14 @@ impl BlendedTransformer {
         self.output_process_at_poseFinal.forward_frames(h)
     }
 
-    /// The embedding of a path, added to the tokens, `[batch, width, time]`: zeros before training.
+    /// The embedding of a path, `[batch, width, time]`, which is added to the tokens; zeros before
+    /// training.
     fn embedded_path(&self, path: &Tensor<3>) -> Option<Tensor<3>> {
         let inner = self.embed_path_at_0.as_ref()?.forward_frames(path.clone());
         Some(self.embed_path_at_2.as_ref()?.forward_frames(silu(inner)))
     }
 
-    /// True if it has a path condition.
+    /// True if the network has a path condition.
     pub fn has_path(&self) -> bool {
         self.embed_path_at_0.is_some()
     }
@@ -265,7 +268,7 @@ impl BlendedTransformer {
     /// The same network with only the path embedding and the last layers trainable.
     #[must_use]
     pub fn adapting(self, last_layers: usize) -> Self {
-        // Copies of parameters that are not yet initialised lose the flag of being trained.
+        // Copies of uninitialized parameters lose the flag `require_grad`.
         let values = parameters::values(&self);
         let this = parameters::replace(self, values);
         let (first, second) = (this.embed_path_at_0.clone(), this.embed_path_at_2.clone());
@@ -303,8 +306,8 @@ impl BlendedTransformer {
         time.select(0, motions) + texts.select(0, rows)
     }
 
-    /// Absolute positions of the motions in absolute mode, zeros for the others:
-    /// `[batch, width, time]`.
+    /// Absolute positions for motions in absolute mode, zeros for other motions: `[batch, width,
+    /// time]`.
     fn absolute(
         &self,
         segments: &TextSegments,
@@ -314,7 +317,7 @@ impl BlendedTransformer {
     ) -> Tensor<3> {
         let places = segments.places(frames);
         let number = 1 + places.iter().flatten().copied().max().unwrap_or_default();
-        // Segments have places in common.
+        // Segments share positions.
         let each: Vec<f64> = (0..number).map(|place| place as f64).collect();
         let table = absolute_positions(&each, self.width);
         let mut values = Vec::with_capacity(segments.len() * self.width * frames);
@@ -333,7 +336,7 @@ impl BlendedTransformer {
         positions.swap_dims(1, 2)
     }
 
-    /// Which sub-layers a training step leaves out.
+    /// True for the sub-layers that a training step skips.
     fn left_out(&self, dropout: DropoutKey, count: usize) -> Vec<bool> {
         let uniforms = |key: Key| key.named("depth").uniforms(count);
         let Some(uniforms) = dropout.filter(|_| self.depth > 0.0).map(uniforms) else {
@@ -344,8 +347,8 @@ impl BlendedTransformer {
     }
 }
 
-/// The table of absolute positions, `[width, places]`: `sin(p w_j)` of all j, then `cos(p w_j)`, with
-/// `w_j = 10000^(-2 j / width)`.
+/// The table of absolute positions, `[width, places]`: `sin(p w_j)` for all j, then `cos(p w_j)`,
+/// with `w_j = 10000^(-2 j / width)`.
 pub fn absolute_positions(places: &[f64], width: usize) -> Vec<f32> {
     let half = width / 2;
     let row = |index: usize| {
@@ -363,7 +366,7 @@ pub struct Composed<'a> {
     pub network: &'a BlendedTransformer,
     /// The texts of each motion over time.
     pub segments: TextSegments,
-    /// The steps with relative positions.
+    /// The timesteps with relative positions.
     pub switch: Switch,
     /// Root paths, `[batch, PATH_CHANNELS, time]`.
     pub path: Option<Tensor<3>>,

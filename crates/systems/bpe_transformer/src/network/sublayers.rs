@@ -19,7 +19,8 @@ pub struct Shared {
 }
 
 impl Shared {
-    /// `ranges` are the frames that each frame attends to, `is_relative` the mode of each motion.
+    /// `ranges` are the frames that each frame attends to; `is_relative` is true for motions in
+    /// relative mode.
     ///
     /// # Shapes
     /// - cond: `[conditions, width]`
@@ -49,7 +50,7 @@ impl Shared {
     }
 }
 
-/// Attention whose queries alone know text and time (docs/sources.md, section 6.4):
+/// Attention in which only queries depend on text and time (docs/sources.md, section 6.4):
 ///
 /// ```text
 /// a = merge([u, c])    q = W_q a    k = W_k u    v = W_v u
@@ -107,7 +108,7 @@ pub(super) struct FeedForward {
     ff_at_3: Linear,
 }
 
-/// Attention or feed-forward, with the normalisation before it.
+/// Attention or feed-forward, after a normalization.
 #[derive(Module, Debug)]
 pub(super) enum SubLayer {
     Attention(AttentionLayer),
@@ -127,7 +128,7 @@ pub(super) struct FeedForwardLayer {
 }
 
 impl SubLayer {
-    /// Sub-layer `index`: attention if it is even.
+    /// Sub-layer `index`; even sub-layers are attention.
     pub fn new(index: usize, config: &BlendedConfig, init: &Initializer) -> Self {
         let norm = LayerNorm::new(config.latent_dim, &init.at("0").at("0"));
         let init = init.at("1");
@@ -150,7 +151,7 @@ impl SubLayer {
         }
     }
 
-    /// `x` and its [`branch`](Self::branch).
+    /// The sum of `x` and its [`branch`](Self::branch).
     ///
     /// # Shapes
     /// - x, output: `[batch, width, time]`

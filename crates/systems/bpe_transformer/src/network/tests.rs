@@ -30,7 +30,7 @@ fn network() -> BlendedTransformer {
     config(false).init(CHANNELS, 7, &init).expect("a network")
 }
 
-/// The same with a path embedding, whose last weights are random or, as in a new network, zero.
+/// The network with a path embedding. The last weights are random, or zero as in a new network.
 fn path_conditioned(is_random: bool) -> BlendedTransformer {
     let init = Initializer::new(3, &Device::flex());
     let network = config(true).init(CHANNELS, 7, &init).expect("a network");
@@ -94,7 +94,7 @@ fn a_text_reaches_its_own_frames_and_across_the_border_in_relative_mode_alone() 
     let (x, segments) = (random([2, CHANNELS, FRAMES], 1), two());
     let rows = texts(2);
     let other = {
-        // Text 0 is the first of the first motion and the last of the second.
+        // Text 0 is the first text of the first motion and the last text of the second motion.
         let zeros = Tensor::zeros([1, 7], &Device::flex());
         Tensor::cat(vec![zeros, rows.clone().narrow(0, 1, 2)], 0)
     };
@@ -103,7 +103,8 @@ fn a_text_reaches_its_own_frames_and_across_the_border_in_relative_mode_alone() 
         let b = answer(x.clone(), other.clone(), &segments, relative);
         let apart = apart(&a, &b);
         for (t, found) in apart[0].iter().enumerate().take(11) {
-            // Keys do not know the text: two layers reach as far as the first's sums, one horizon.
+            // Keys do not depend on the text, so a text reaches one horizon in two layers: the sums
+            // of the first layer.
             let has_text = t < 5;
             let near = t < 5 + reach;
             assert!(!has_text || *found > 1e-4, "{relative:?} {t}");
@@ -121,7 +122,7 @@ fn modes_and_order_of_texts_matter_and_padding_does_not() {
     let swapped = answer(x.clone(), rows.clone(), &segments, [true, false]);
     let differs = apart(&whole, &swapped);
     assert!(differs.iter().all(|motion| motion[0] > 1e-4));
-    // What stands in the first motion's padding, frames 11 to 13.
+    // Noise in the first motion's padding, frames 11 to 13.
     let noise = random([2, CHANNELS, FRAMES], 9);
     let behind = Tensor::cat(vec![x.clone().narrow(2, 0, 11), noise.narrow(2, 11, 3)], 2);
     let padded = Tensor::cat(vec![behind.narrow(0, 0, 1), x.clone().narrow(0, 1, 1)], 0);
@@ -143,7 +144,7 @@ fn modes_and_order_of_texts_matter_and_padding_does_not() {
 
 #[test]
 fn a_long_motion_is_what_its_parts_in_reach_make_of_it() {
-    // In relative mode no frame knows its number: a motion cut off far ahead answers the same.
+    // In relative mode, no frame knows its index: cutting distant earlier frames changes nothing.
     let single = |frames| TextSegments::single([frames]);
     let x = random([1, CHANNELS, 60], 4);
     let rows = texts(2).narrow(0, 0, 1);
@@ -186,7 +187,7 @@ fn an_untrained_path_changes_no_bit_and_a_trained_one_the_frames_in_reach() {
     let whole = run(&trained, Some(&path));
     assert_ne!(whole.clone().into_data(), base);
     assert_eq!(run(&trained, None).into_data(), base);
-    // The motion whose path is masked is generated as without a path.
+    // The motion with a masked path equals the motion without a path.
     let keep = Tensor::from_data(TensorData::new(vec![1.0f32, 0.0], [2, 1, 1]), &x.device());
     let pass = Pass {
         segments: &segments,
@@ -199,7 +200,8 @@ fn an_untrained_path_changes_no_bit_and_a_trained_one_the_frames_in_reach() {
     let part = |of: &Tensor<3>, motion: usize| of.clone().narrow(0, motion, 1).into_data();
     assert_eq!(part(&masked, 0), part(&whole, 0));
     assert_eq!(part(&masked, 1), part(&run(&trained, None), 1));
-    // Another place in the last frame alone: seen by frames within twice the horizon, of that motion.
+    // Another position in only the last frame affects frames of this motion within twice the
+    // horizon.
     let last = path.clone().narrow(2, FRAMES - 1, 1);
     let other = Tensor::cat(vec![path.narrow(2, 0, FRAMES - 1), last + 1.0], 2);
     let other = Tensor::cat(
@@ -219,7 +221,7 @@ fn an_untrained_path_changes_no_bit_and_a_trained_one_the_frames_in_reach() {
 #[test]
 fn adapting_trains_what_reads_the_path_and_the_last_layers() {
     let trained = |last_layers: usize| -> Vec<String> {
-        // On a device that tracks gradients, with parameters that nobody has asked for yet.
+        // On a device that tracks gradients, with uninitialized parameters.
         let init = Initializer::new(3, &Device::flex().autodiff());
         let network = config(true).init(CHANNELS, 7, &init).expect("a network");
         let network = network.adapting(last_layers);

@@ -1,4 +1,4 @@
-//! Several texts one after another in one motion.
+//! A sequence of texts in one motion.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -6,19 +6,19 @@ use std::sync::Arc;
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use kinegrad_kernels::KeyRanges;
 
-/// A text for some frames.
+/// A segment of frames with one text.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
 pub struct Segment {
-    /// Its row among the texts of the batch.
+    /// Row of the segment's text in the batch's texts.
     pub text: usize,
-    /// Its length, at least one frame.
+    /// Length of the segment, at least one frame.
     pub frames: usize,
 }
 
-/// The texts of a batch of motions, each of which is one sequence without overlaps.
+/// The texts of a batch of motions; each motion has one sequence without overlaps.
 ///
-/// The padding of a motion with a single text has that text and continues its positions; with several
-/// texts it has none. Valid frames do not depend on it.
+/// The padding of a motion with a single text has the same text and continues the positions. With
+/// several texts, the padding has no text. Valid frames do not depend on the padding.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TextSegments(Arc<[Vec<Segment>]>);
 
@@ -70,8 +70,8 @@ impl TextSegments {
         frames
     }
 
-    /// The motion and the text of each condition: motion by motion, one for each segment, then one
-    /// for the padding, with the text `no_text` if there is none.
+    /// The motion and the text of each condition. Each motion has one condition per segment, then
+    /// one condition for the padding; padding without a text has `no_text`.
     pub fn conditions(&self, no_text: usize, device: &Device) -> [Tensor<1, Int>; 2] {
         let pairs = self.0.iter().enumerate().flat_map(|(motion, segments)| {
             let texts = segments.iter().map(|segment| segment.text);
@@ -86,7 +86,7 @@ impl TextSegments {
         [motions, texts].map(|indices| integers(indices, device))
     }
 
-    /// The row of [`conditions`](Self::conditions) of each frame, `[batch * time]`.
+    /// The row in [`conditions`](Self::conditions) for each frame, `[batch * time]`.
     pub fn rows(&self, time: usize, device: &Device) -> Tensor<1, Int> {
         let mut rows = Vec::with_capacity(self.len() * time);
         let (mut row, mut end) = (0, 0);
@@ -118,8 +118,8 @@ impl TextSegments {
         (0..self.len()).map(of_motion).collect()
     }
 
-    /// Frames that each frame attends to: those that count, at most `horizon` away, and in absolute
-    /// mode in the same segment. Padding attends to none.
+    /// The frames that each frame attends to: valid frames at a distance of at most `horizon`, in
+    /// absolute mode only of the same segment. Padding attends to no frame.
     pub fn ranges(&self, time: usize, horizon: usize, is_relative: &[bool]) -> KeyRanges {
         let of_motion = |motion: usize| {
             let end = self.frames().nth(motion).expect("a motion");

@@ -9,27 +9,27 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct FlowConfig {
-    /// Width inside the history encoder's perceptron of each joint and frame.
+    /// Width inside the history encoder's perceptron, which runs per joint and frame.
     pub joint_dim: usize,
-    /// Width of what the perceptron gives, and of each joint's context.
+    /// Width of the perceptron's output, and of each joint's context.
     pub context_dim: usize,
     /// State of the history encoder's recurrent layer, in each direction.
     pub gru_dim: usize,
-    /// Width inside the perceptron from the history's summary to the contexts.
+    /// Width inside the perceptron that maps the history's summary to the contexts.
     pub decoder_dim: usize,
-    /// Width of the predictor's tokens, one for each joint.
+    /// Width of the predictor's tokens; each joint has one token.
     pub latent_dim: usize,
     /// Layers of the predictor.
     pub num_layers: usize,
     /// Attention heads of the predictor.
     pub num_heads: usize,
-    /// Width inside each layer's two linear maps.
+    /// Width between each layer's two linear maps.
     pub ff_size: usize,
-    /// Position of normalisation in the predictor's layers: `post` or `pre`.
+    /// Position of normalization in the predictor's layers: `post` or `pre`.
     pub norm: NormOrder,
-    /// Read the history backwards too.
+    /// Also read the history backward.
     pub bidirectional: bool,
-    /// Condition each joint on its chain and its depth in the skeleton.
+    /// Condition each joint on the joint's chain and depth in the skeleton.
     pub hierarchy: bool,
     /// Condition the predictor on the remaining share of the motion.
     pub progress: bool,
@@ -48,8 +48,8 @@ impl NetworkConfig for FlowConfig {
 }
 
 impl FlowConfig {
-    /// The widths of the source, with the choices of docs/sources.md, section 5: 1,639,648
-    /// parameters in the encoder and 820,131 in the predictor for 22 joints.
+    /// The widths of the source, with the choices in docs/sources.md, section 5. For 22 joints, the
+    /// encoder has 1,639,648 parameters and the predictor 820,131.
     pub fn published() -> Self {
         Self {
             joint_dim: 128,
@@ -82,7 +82,7 @@ impl FlowConfig {
     }
 
     /// # Errors
-    /// Names the key that no network can be built from.
+    /// Names the invalid key.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         for (key, width, published) in [
             ("model.joint_dim", self.joint_dim, 128),

@@ -10,7 +10,7 @@ fn layout(joints: usize) -> FeatureLayout {
     FeatureLayout::of_joints(joints).expect("the joints of a skeleton")
 }
 
-/// Channels `range` of rows of features, `width` for each joint.
+/// Channels `range` of feature rows, `width` channels per joint.
 fn each(rows: &Tensor<2>, range: std::ops::Range<usize>, width: usize) -> Tensor<3> {
     let (count, joints) = (rows.dims()[0], range.len() / width);
     rows.clone()
@@ -18,8 +18,8 @@ fn each(rows: &Tensor<2>, range: std::ops::Range<usize>, width: usize) -> Tensor
         .reshape([count, joints, width])
 }
 
-/// The positions of the joints, `[rows, J, 3]`, for rows `[rows, channels]`: the root at (0, its height,
-/// 0), the others in the facing frame.
+/// The positions of the joints, `[rows, J, 3]`, for rows `[rows, channels]`. The root is at (0,
+/// root height, 0); other joints are in the facing frame.
 pub(super) fn positions(rows: &Tensor<2>, joints: usize) -> Tensor<3> {
     let height = rows.clone().narrow(1, FeatureLayout::ROOT.end - 1, 1);
     let ground = height.zeros_like();
@@ -39,16 +39,16 @@ pub(super) fn whole_body(rows: &Tensor<2>, joints: usize) -> Tensor<2> {
     Tensor::cat(vec![part(FeatureLayout::ROOT), part(contacts)], 1)
 }
 
-/// The state of each joint in the last frame of a history: position, the first two columns of its
-/// rotation, velocity. The root is at (0, its height, 0), unturned. Source: docs/sources.md, section
-/// 5.
+/// The state of each joint in the last frame of a history: position, first two columns of the
+/// rotation, velocity. The root is at (0, root height, 0) without rotation. Source:
+/// docs/sources.md, section 5.
 ///
 /// # Shapes
 /// - last: `[batch, 12 J - 1]`
 /// - output: `[batch, 12, J]`
 ///
 /// # Panics
-/// If no skeleton has so many channels.
+/// If no skeleton has this number of channels.
 pub fn previous_state(last: Tensor<2>) -> Tensor<3> {
     let [batch, channels] = last.dims();
     let joints = (channels + 1) / PREVIOUS_STATE;

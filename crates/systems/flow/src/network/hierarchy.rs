@@ -1,11 +1,11 @@
 use kinegrad_motion::humanml::Skeleton;
 
-/// The limb of each joint of a skeleton and its depth ("kinematic hierarchy"; docs/sources.md, section
-/// 5).
+/// The limb and the depth of each joint of a skeleton ("kinematic hierarchy"; docs/sources.md,
+/// section 5).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Hierarchy {
-    /// The chain of each joint, `[J]`, except those that begin at it; the root is on the longest chain
-    /// that begins at it.
+    /// The chain of each joint, `[J]`. A joint is not on chains that begin at the joint, except the
+    /// root, which is on the longest such chain.
     pub chains: Vec<usize>,
     /// Steps from the root to each joint, `[J]`.
     pub depths: Vec<usize>,

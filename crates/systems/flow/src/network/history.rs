@@ -8,13 +8,13 @@ use kinegrad_motion::humanml::TEXT_CHANNELS;
 use super::FlowConfig;
 use super::features::{positions, velocities, whole_body};
 
-/// Numbers that the text becomes for each joint.
+/// Width of the text's projection for each joint.
 const TEXT: usize = 32;
 
-/// Own features of a joint in a frame: position 3, velocity 3.
+/// Features of a single joint in a frame: position 3, velocity 3.
 const OWN: usize = 3 + 3;
 
-/// Features that all joints of a frame share: the whole body 8, duration 1, text.
+/// Features shared by all joints of a frame: whole body 8, duration 1, text.
 const SHARED: usize = 8 + 1 + TEXT;
 
 const INPUTS: usize = OWN + SHARED;
@@ -24,15 +24,16 @@ const INPUTS: usize = OWN + SHARED;
 pub struct History {
     /// Past frames in HumanML3D's features: `[batch, 12 J - 1, time]`.
     pub frames: Tensor<3>,
-    /// Frames of each history, from 1 to `time`; the rest is ignored.
+    /// Frames of each history, from 1 to `time`; later frames are ignored.
     pub lengths: Vec<usize>,
-    /// The text's pooled feature: `[batch, 512]`; zeros stand for no text.
+    /// The text's pooled feature: `[batch, 512]`; zeros mean no text.
     pub text: Tensor<2>,
-    /// The length of the whole clip as a number: `[batch, 1]`; without it the encoder sees 0.
+    /// The length of the whole clip as a number: `[batch, 1]`; `None` means 0.
     pub duration: Option<Tensor<2>>,
 }
 
-/// Past frames and a text to a context of each joint (docs/sources.md, section 5). Should be created with [`FlowConfig::init`](super::FlowConfig::init).
+/// Encodes past frames and a text as a context per joint (docs/sources.md, section 5). Should be
+/// created with [`FlowConfig::init`](super::FlowConfig::init).
 ///
 /// ```text
 /// joint and frame:  position, velocity, body, duration, text_proj(text)
@@ -41,7 +42,7 @@ pub struct History {
 ///   -> decoder      from the last state of each direction: linear, GELU, linear
 /// ```
 ///
-/// Rotations are not read.
+/// The encoder ignores rotations.
 #[derive(Module, Debug)]
 pub struct HistoryEncoder {
     text_proj: Linear,
@@ -88,9 +89,9 @@ impl HistoryEncoder {
         self.forward_stages(history, &mut ())
     }
 
-    /// [`forward`](Self::forward) with its stages: `joint_inputs` `[batch, time, J, 47]`, `joint_latents`
-    /// `[batch, time, J, context_dim]`, `gru_sequence` `[batch, time, 2 gru_dim]`, `summary` `[batch, 2
-    /// gru_dim]`.
+    /// [`forward`](Self::forward) with stages: `joint_inputs` `[batch, time, J, 47]`,
+    /// `joint_latents` `[batch, time, J, context_dim]`, `gru_sequence` `[batch, time, 2 gru_dim]`,
+    /// `summary` `[batch, 2 gru_dim]`.
     pub fn forward_stages(&self, history: History, stages: &mut impl Stages) -> Tensor<3> {
         let History {
             frames,
@@ -100,11 +101,11 @@ impl HistoryEncoder {
         } = history;
         let [batch, channels, time] = frames.dims();
         let joints = self.joints;
-        // Step by step, as the recurrent layer reads them.
+        // In the order of steps, for the recurrent layer.
         let count = time * batch;
         let rows = frames.permute([2, 0, 1]).reshape([count, channels]);
 
-        // 1. The inputs of each joint of each frame.
+        // 1. The inputs per joint and frame.
         let body = whole_body(&rows, joints);
         let text = self.text_proj.forward(text);
         let duration = duration.unwrap_or_else(|| Tensor::zeros([batch, 1], &rows.device()));
@@ -123,7 +124,7 @@ impl HistoryEncoder {
                 .swap_dims(0, 1)
         });
 
-        // 2. Over time. Inputs that all joints share are multiplied once a frame.
+        // 2. Over time. Inputs shared by all joints are multiplied once per frame.
         let own = own.swap_dims(1, 2);
         let latents = self.joint_mlp_at_0.forward_frames_sharing(own, shared);
         let latents = self.joint_mlp_at_2.forward_frames(gelu(latents));
@@ -144,7 +145,7 @@ impl HistoryEncoder {
         });
         stages.stage(format_args!("summary"), || states.last.clone());
 
-        // 3. To each joint.
+        // 3. The contexts of the joints.
         let contexts = gelu(self.decoder_at_0.forward(states.last));
         let contexts = self.decoder_at_2.forward(contexts);
         contexts

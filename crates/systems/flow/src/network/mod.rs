@@ -7,11 +7,11 @@
 //!                                                                           velocity of x_t
 //! ```
 //!
-//! [`FlowRollout`] samples frame after frame, each the history of the next.
+//! [`FlowRollout`] samples frame by frame; each frame joins the history of the next frame.
 //!
-//! Source: "Human Motion Generation Architecture", sections 1 and 2, as
-//! docs/sources.md reads it, section 5. Within this module joints stand where other networks have
-//! frames: `[batch, channels, joints]`.
+//! Source: "Human Motion Generation Architecture", sections 1 and 2, as interpreted in
+//! docs/sources.md, section 5. Within this module, joints take the axis of other networks' frames:
+//! `[batch, channels, joints]`.
 
 mod config;
 mod features;
@@ -43,9 +43,9 @@ use kinegrad_models::layers::Embedding;
 #[derive(Module, Debug)]
 pub struct FlowModel {
     embed_captions: Option<Embedding>,
-    /// Past frames and text to a context of each joint.
+    /// Encodes past frames and text as a context per joint.
     pub encoder: HistoryEncoder,
-    /// The velocity of the next pose.
+    /// Predicts the flow velocity of the next pose.
     pub predictor: FlowPredictor,
 }
 
@@ -53,7 +53,7 @@ impl FlowConfig {
     /// Both networks for a skeleton.
     ///
     /// # Errors
-    /// Names the key that no network can be built from.
+    /// Names the invalid key.
     pub fn init(
         &self,
         skeleton: &Skeleton,
@@ -69,8 +69,8 @@ impl FlowConfig {
 }
 
 impl FlowModel {
-    /// The same networks with a learned embedding of each caption: `[captions, 512]`, initially of
-    /// variance 1.
+    /// The same networks with a learned embedding per caption: `[captions, 512]`, initial variance
+    /// 1.
     #[must_use]
     pub fn with_captions(self, captions: usize, init: &Initializer) -> Self {
         Self {
@@ -79,8 +79,8 @@ impl FlowModel {
         }
     }
 
-    /// The encoder's input for texts, `[batch, 512]`: unchanged, or the embeddings of the
-    /// captions that `[batch, captions]` names with 1 and all others with 0; zeros stand for no text.
+    /// The encoder's input for texts, `[batch, 512]`: `values` unchanged, or the caption embeddings
+    /// for one-hot `values`, `[batch, captions]`; zeros mean no text.
     pub fn text(&self, values: Tensor<2>) -> Tensor<2> {
         match &self.embed_captions {
             Some(table) => table.mixed(values),

@@ -12,7 +12,7 @@ use kinegrad_motion::humanml::Skeleton;
 
 use super::{FlowConfig, Hierarchy, PREVIOUS_STATE};
 
-/// Numbers that the context becomes for each joint.
+/// Width of the context's projection for each joint.
 const CONTEXT: usize = 32;
 
 const POSITION: usize = 3;
@@ -25,16 +25,16 @@ const INPUTS: usize = CONTEXT + PREVIOUS_STATE + POSITION + 1 + 1;
 pub struct FlowCondition {
     /// From the history encoder: `[batch, context_dim, J]`.
     pub context: Tensor<3>,
-    /// The same of the history without its text; only guidance needs it.
+    /// The context of the history without its text, for guidance.
     pub null_context: Option<Tensor<3>>,
     /// The last frame of the history ([`previous_state`](super::previous_state)): `[batch, 12, J]`.
     pub previous: Tensor<3>,
-    /// Frames that remain over frames of the clip, 1 at its start and 0 at its end: `[batch]`.
+    /// Remaining frames divided by frames of the clip, from 1 at the start to 0 at the end:
+    /// `[batch]`.
     pub progress: Tensor<1>,
 }
 
-/// The condition's share of the joints' tokens, which is computed once for a pose
-/// ([`FlowPredictor::prepare`]).
+/// The condition's part of the joints' tokens, computed once per pose ([`FlowPredictor::prepare`]).
 #[derive(Clone, Debug)]
 pub struct PreparedCondition {
     /// Tokens without noisy position and flow time: `[batch, latent_dim, J]`.
@@ -44,8 +44,9 @@ pub struct PreparedCondition {
     weight: Tensor<3>,
 }
 
-/// The velocity of a noisy pose at a flow time, 0 for noise and 1 for data (docs/sources.md, section 5):
-/// a transformer encoder over joints, made by [`FlowConfig::init`](super::FlowConfig::init).
+/// Predicts the velocity of a noisy pose at a flow time, 0 for noise and 1 for data
+/// (docs/sources.md, section 5). A transformer encoder over joints, made by
+/// [`FlowConfig::init`](super::FlowConfig::init).
 ///
 /// ```text
 /// joint:  ctx_proj(context), previous state, x_t, progress, t
@@ -108,7 +109,7 @@ impl FlowPredictor {
         self.forward_stages(x_t, t, cond, &mut ())
     }
 
-    /// [`forward`](Self::forward) with its stages: `inputs49` `[batch, 49, J]`, `tokens` and `encoded`
+    /// [`forward`](Self::forward) with stages: `inputs49` `[batch, 49, J]`, `tokens` and `encoded`
     /// `[batch, latent_dim, J]`.
     pub fn forward_stages(
         &self,
@@ -123,7 +124,7 @@ impl FlowPredictor {
         self.velocity(h, stages)
     }
 
-    /// The condition's share of the tokens, for [`Denoiser::predict`].
+    /// The condition's part of the tokens, for [`Denoiser::predict`].
     pub fn prepare(&self, cond: &FlowCondition) -> PreparedCondition {
         let tokens = |context: &Tensor<3>| {
             let [batch, _, joints] = context.dims();
@@ -143,7 +144,7 @@ impl FlowPredictor {
     /// Samples poses from noise `[batch, 3, J]`.
     ///
     /// # Errors
-    /// [`sample_flow`]'s.
+    /// The errors of [`sample_flow`].
     pub fn sample(
         &self,
         noise: Tensor<3>,
@@ -195,7 +196,8 @@ impl FlowPredictor {
             .forward_frames(gelu(self.head_at_0.forward_frames(h)))
     }
 
-    /// Tokens `[batch, latent_dim, J]` of inputs `[batch, 49, J]`, with each joint's place in the tree.
+    /// Tokens `[batch, latent_dim, J]` of inputs `[batch, 49, J]`, with each joint's position in
+    /// the skeleton.
     fn tokens(&self, inputs: Tensor<3>) -> Tensor<3> {
         let device = inputs.device();
         let tokens = self.in_proj.forward_frames(inputs);
@@ -212,7 +214,7 @@ impl FlowPredictor {
     }
 }
 
-/// A number of each sample for each of its joints: `[batch, 1, J]`.
+/// Repeats a number per sample for all joints: `[batch, 1, J]`.
 fn of_joints(value: Tensor<1>, batch: usize, joints: usize) -> Tensor<3> {
     value.reshape([batch, 1, 1]).expand([batch, 1, joints])
 }
@@ -220,7 +222,7 @@ fn of_joints(value: Tensor<1>, batch: usize, joints: usize) -> Tensor<3> {
 impl Denoiser for FlowPredictor {
     type Cond = PreparedCondition;
 
-    /// At flow times from 0 to 1.
+    /// `time` contains flow times from 0 to 1.
     fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &PreparedCondition) -> Tensor<3> {
         let [batch, _, joints] = x_t.dims();
         let times: Vec<f32> = time.iter().map(|time| time.0 as f32).collect();
@@ -235,7 +237,7 @@ impl Denoiser for FlowPredictor {
     /// The condition of the same history without its text.
     ///
     /// # Panics
-    /// Without a [`null_context`](FlowCondition::null_context).
+    /// If the condition has no [`null_context`](FlowCondition::null_context).
     fn null_cond(&self, cond: &PreparedCondition) -> PreparedCondition {
         let tokens = cond.null_tokens.clone();
         PreparedCondition {

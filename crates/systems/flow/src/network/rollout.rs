@@ -1,4 +1,4 @@
-//! Frame after frame, each the history of the next.
+//! Autoregressive sampling, frame by frame.
 
 use std::collections::VecDeque;
 
@@ -15,7 +15,7 @@ use kinegrad_train::Error;
 
 use super::{FlowCondition, FlowModel, History, previous_state};
 
-/// The features and statistics that a model was trained with.
+/// The features and statistics of a model's training.
 #[derive(Clone, Debug)]
 pub struct FlowSpace {
     /// The skeleton.
@@ -30,7 +30,7 @@ pub struct FlowSpace {
     pub prediction: FlowPrediction,
     /// Rows of features in a history.
     pub history: usize,
-    /// Frames of a duration of 1.
+    /// Number of frames for a duration of 1.
     pub longest: usize,
 }
 
@@ -39,22 +39,22 @@ pub struct FlowSpace {
 pub struct RolloutSettings {
     /// The solver of each pose.
     pub sampler: SamplerConfig,
-    /// Frames to sample; progress counts down from 1 at the first to 0 at the last.
+    /// Frames to sample; progress decreases from 1 at the first frame to 0 at the last frame.
     pub frames: usize,
-    /// Gives every frame the bones of the history's last ([`with_bones`]).
+    /// Gives every frame the bone lengths of the history's last frame ([`with_bones`]).
     pub constant_bones: bool,
-    /// Samples every pose from the same noise, so that consecutive poses differ by their conditions
-    /// alone.
+    /// Samples all poses from the same noise, so that consecutive poses differ only by their
+    /// conditions.
     pub same_noise: bool,
     /// [`Extraction::contact_threshold`](kinegrad_motion::humanml::Extraction::contact_threshold).
     pub contact_threshold: f64,
 }
 
-/// A motion that continues a history: the text is pushed, frames are pulled. Memory does not grow
-/// with the frames. Every frame is a function of the history, the texts so far and
+/// A motion that continues a history: the caller pushes texts and pulls frames. Memory does not
+/// grow with the number of frames. Each frame is a function of the history, the texts so far and
 /// the key.
 ///
-/// It takes a model without gradients (Burn: `Module::valid`).
+/// The model must be without gradients (Burn: `Module::valid`).
 #[derive(Debug)]
 pub struct FlowRollout {
     model: FlowModel,
@@ -63,7 +63,7 @@ pub struct FlowRollout {
     device: Device,
     key: Key,
     stream: FeatureStream,
-    /// The last rows, normalised, the oldest first.
+    /// The last rows, normalized, oldest first.
     rows: VecDeque<Vec<f32>>,
     bones: Option<Vec<[f64; 3]>>,
     text: Vec<f32>,
@@ -72,11 +72,11 @@ pub struct FlowRollout {
 }
 
 impl FlowRollout {
-    /// A rollout before its first frame, without a text. The motion continues from the last frame of the
-    /// history: joints in metres above the floor y = 0, at the skeleton's rate.
+    /// A rollout before its first frame, without a text. The motion continues from the last frame
+    /// of the history: joints in meters above the floor y = 0, at the skeleton's frame rate.
     ///
     /// # Errors
-    /// For a short history, a setting out of range, or another skeleton.
+    /// If the history is too short or has another skeleton, or a setting is out of range.
     pub fn new(
         model: FlowModel,
         space: FlowSpace,
@@ -127,10 +127,10 @@ impl FlowRollout {
         Ok(rollout)
     }
 
-    /// Continues with another text, 512 numbers; zeros for no text.
+    /// Continues with another text, 512 numbers; zeros mean no text.
     ///
     /// # Errors
-    /// For other numbers; the previous text then remains.
+    /// If `text` is invalid; the previous text then remains.
     pub fn push_text(&mut self, text: &[f32]) -> Result<(), Error> {
         let bad = text.iter().filter(|value| !value.is_finite()).count();
         if text.len() != TEXT_CHANNELS || bad > 0 {
@@ -143,10 +143,10 @@ impl FlowRollout {
         Ok(())
     }
 
-    /// The next frame, `[J, 3]` in metres; `None` after the last.
+    /// The next frame, `[J, 3]` in meters; `None` after the last frame.
     ///
     /// # Errors
-    /// If an output of the network is not finite. The frame is then not generated.
+    /// If an output of the network is not finite. The call then generates no frame.
     pub fn next_frame(&mut self) -> Result<Option<Vec<[f64; 3]>>, Error> {
         if self.generated == self.settings.frames {
             return Ok(None);

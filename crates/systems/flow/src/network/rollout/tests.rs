@@ -101,7 +101,7 @@ fn a_rollout_repeats_itself_and_everything_given_changes_it() {
     };
     let sampled = sample(settings(6), &history, 1);
     assert_eq!(sampled, sample(settings(6), &history, 1));
-    // Only as many frames as a history has are seen.
+    // The rollout uses only the frames of one history.
     let recent = Joints::new(history.as_slice()[3 * 22..].to_vec(), 22).expect("frames");
     assert_eq!(sampled, sample(settings(6), &recent, 1));
     let older = Joints::new(history.as_slice()[..6 * 22].to_vec(), 22).expect("frames");
@@ -134,7 +134,7 @@ fn a_rollout_repeats_itself_and_everything_given_changes_it() {
     ] {
         assert!(apart(&sampled, &other) > 1e-6, "{what}");
     }
-    // Guidance is over the text: without one it changes nothing.
+    // Guidance acts on the text: without a text, guidance changes nothing.
     assert!(apart(&sampled, &sample(guided.clone(), &history, 1)) < 1e-6);
     assert!(apart(&text, &of_text(guided, 0.2)) > 1e-6);
 }
