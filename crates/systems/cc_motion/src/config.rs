@@ -28,8 +28,8 @@ pub struct CcMotionConfig {
     pub model: ModelTable<CcMotionNetwork>,
     /// The motion decoder, in recipes `decoder` and `e2e`.
     pub decoder: DecoderConfig,
-    /// Low-rank adapters on the denoiser, in recipe `e2e`; without this table all its weights are
-    /// fine-tuned.
+    /// Low-rank adapters on the denoiser, in recipe `e2e`. Without this table, all weights of the
+    /// denoiser are fine-tuned.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lora: Option<LoraConfig>,
     /// The diffusion process.
@@ -64,16 +64,16 @@ impl Default for CcMotionNetwork {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct InitConfig {
-    /// Run or checkpoint of the diffusion model, whose EMA weights, network, process and statistics
-    /// are used. If empty in recipe `e2e`, one is trained first.
+    /// Run or checkpoint of the diffusion model, which provides EMA weights, network, process and
+    /// statistics. If empty in recipe `e2e`, a base model is trained first.
     pub diffusion: PathBuf,
-    /// Run or checkpoint with a decoder for that base model; if empty, a new one is initialised.
+    /// Run or checkpoint with a decoder for the base model; if empty, a new decoder is initialized.
     pub decoder: PathBuf,
     /// Training of missing initial checkpoints.
     pub pretrain: PretrainConfig,
 }
 
-/// The table `init.pretrain`: how recipe `e2e` trains a base model and a decoder of its own where
+/// The table `init.pretrain`: training of a base model and a decoder in recipe `e2e` if
 /// `init.diffusion` is empty.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -103,9 +103,9 @@ impl Default for PretrainConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RolloutMode {
-    /// One graph over all steps: memory grows with them.
+    /// One graph over all steps; memory grows with the number of steps.
     Full,
-    /// The states only; each step is recomputed in the backward pass. Same gradients.
+    /// Stores only the states; the backward pass recomputes each step. Same gradients as `full`.
     #[default]
     Checkpointed,
     /// A graph over the last `rollout.last_k` steps: a truncated gradient.
@@ -116,8 +116,8 @@ pub enum RolloutMode {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RolloutStart {
-    /// The batch's motion, noised to the start timestep. Except at the last timesteps it contains
-    /// signal of its ground truth, so a reconstruction loss is meaningful.
+    /// The batch's motion, noised to the start timestep. Except at the last timesteps, the start
+    /// contains signal of the ground truth, so a reconstruction loss is meaningful.
     #[default]
     Motion,
     /// Pure noise at the last timestep (CC-MotionGen): a reconstruction loss then pulls samples
@@ -137,18 +137,18 @@ pub struct RolloutConfig {
     pub last_k: usize,
     /// The start of a rollout.
     pub start: RolloutStart,
-    /// Range of the start timesteps of `start = "motion"`, sampled uniformly. Values beyond the
-    /// last timestep mean the last.
+    /// Range of the start timesteps for `start = "motion"`, sampled uniformly. Larger values mean
+    /// the last timestep.
     pub start_timesteps: [usize; 2],
-    /// Clipping of the predicted clean motion.
+    /// Clamping of the predicted clean motion.
     pub clip: ClipSample,
-    /// Use a straight-through gradient for clipping.
+    /// Use a straight-through gradient for clamping.
     pub straight_through: bool,
     /// Factor of the gradient passed from each step to the previous one.
     pub gradient_decay: f64,
     /// Classifier-free guidance scale; 1 disables guidance.
     pub guidance_scale: f64,
-    /// Guidance scale of the style, for models with one; if not set, the same as `guidance_scale`.
+    /// Guidance scale of the style, for models with a style condition. Omitted: `guidance_scale`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub style_guidance_scale: Option<f64>,
 }
@@ -185,7 +185,7 @@ impl RolloutConfig {
         }
     }
 
-    /// Passes of the denoiser whose activations are stored at a time, including the diffusion loss's.
+    /// Number of denoiser passes with stored activations, including the pass of the diffusion loss.
     pub(super) fn stored_passes(&self) -> u64 {
         let steps = match self.mode {
             RolloutMode::Full => self.steps,
@@ -200,7 +200,7 @@ impl RolloutConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ReconstructionWeighting {
-    /// By `abar` of its start timestep, the share of signal in the start state.
+    /// By `alphas_cumprod` at the start timestep, the share of signal in the start state.
     #[default]
     Signal,
     /// Uniform (CC-MotionGen).
@@ -211,20 +211,20 @@ pub enum ReconstructionWeighting {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LossConfig {
-    /// Weight of the diffusion loss, on normalised motion.
+    /// Weight of the diffusion loss, on normalized motion.
     pub w_diff: f64,
     /// Weight of the reconstruction, in physical units.
     pub w_dec: f64,
     /// Weight of the temporal terms, in physical units.
     pub w_temp: f64,
     /// Weight of the reconstruction of all components, in units of their standard deviations.
-    /// CC-MotionGen does not have it: the temporal terms alone are minimised by a constant phase
-    /// and a constant orientation.
+    /// CC-MotionGen lacks this term; without it, a constant phase and a constant orientation
+    /// minimize the temporal terms.
     pub w_components: f64,
     /// Weighting of the reconstruction loss of each sample.
     pub reconstruction_weighting: ReconstructionWeighting,
-    /// The treatment of q and -q in the quaternion reconstruction; that of all components always
-    /// takes the nearer one.
+    /// The treatment of q and -q in the quaternion reconstruction. The reconstruction of all
+    /// components always uses the nearer sign.
     pub quaternion_sign: SignMatching,
     /// The temporal terms.
     pub temporal: TemporalLossConfig,
@@ -264,8 +264,8 @@ pub enum CondSource {
     /// The audio features of the held-out phrases.
     #[default]
     Phrases,
-    /// Standard normal noise in their place, different for each phrase: a condition without
-    /// information.
+    /// Standard normal noise instead of audio features, different for each phrase: a condition
+    /// without information.
     Noise,
 }
 
@@ -275,7 +275,7 @@ pub enum CondSource {
 pub struct EvaluationConfig {
     /// Samples per held-out phrase; at least two are needed for same-phrase diversity.
     pub seeds: usize,
-    /// Number of held-out phrases to use; all of them by default.
+    /// Number of held-out phrases to use. Omitted: all.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub phrases: Option<usize>,
     /// The audio condition.
@@ -283,8 +283,8 @@ pub struct EvaluationConfig {
     /// Further guidance scales for `kinegrad eval --audio-ablation`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub guidance_scales: Vec<f64>,
-    /// Beats in a bar of the held-out phrases, for `kinegrad eval --audio-ablation`; by default
-    /// from the dataset's manifest or its beat features, else 4.
+    /// Beats in a bar of the held-out phrases, for `kinegrad eval --audio-ablation`. Omitted: from
+    /// the dataset's manifest or beat features, else 4.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub beats_per_bar: Option<usize>,
     /// The path-following method of phrases.
@@ -422,7 +422,7 @@ impl CcMotionConfig {
         in_range("loss.w_dec", loss.w_dec, 0.0..)?;
         in_range("loss.w_temp", loss.w_temp, 0.0..)?;
         in_range("loss.w_components", loss.w_components, 0.0..)?;
-        // Every weight and target.
+        // Covers every weight and target.
         for (key, value) in Table::try_from(&loss.temporal).expect(PLAIN) {
             let Some(value) = value.as_float() else {
                 continue;

@@ -40,7 +40,7 @@ pub(super) fn needs(
     })
 }
 
-/// Rejects `count` samples of `frames` frames by each of `processes` if a batch exceeds the memory.
+/// Rejects `count` samples of `frames` frames in each of `processes` if a batch exceeds the memory.
 pub(super) fn must_fit(
     trained: &TrainedModel,
     count: usize,
@@ -61,9 +61,9 @@ pub fn keys(seed: u64, count: usize) -> impl ExactSizeIterator<Item = Key> {
 
 impl Generator {
     /// Generates one sample per condition, as a batch; all conditions have the same number of
-    /// frames. Sample i depends on `seed` and i alone, exactly on the CPU, elsewhere up to
-    /// rounding. Samples longer than in training are sampled [in windows](Self::sample_windowed).
-    /// `on_step` is called with the number of sampling steps done and in total.
+    /// frames. Sample i depends only on `seed` and i: exactly on the CPU, up to rounding on other
+    /// devices. Samples longer than in training are sampled [in windows](Self::sample_windowed).
+    /// `on_step` gets the numbers of finished and of all sampling steps.
     ///
     /// # Errors
     /// If the sampler's settings are invalid, and [`Error::Interrupted`] after `Break`.
@@ -83,11 +83,11 @@ impl Generator {
         Ok(samples)
     }
 
-    /// [`sample`](Self::sample) of any number of conditions, each with its [key](keys), of which
-    /// one batch is in memory at a time; `take` gets the samples in order.
+    /// [`sample`](Self::sample) for any number of conditions with their [keys](keys). One batch is
+    /// in memory at a time; `take` gets the samples in order.
     ///
     /// # Errors
-    /// As [`sample`](Self::sample), and those of `take`, which ends sampling.
+    /// As [`sample`](Self::sample), and errors of `take`, which end sampling.
     pub fn sample_each(
         &self,
         mut conditions: impl ExactSizeIterator<Item = (AudioFeatures, Key)>,
@@ -136,7 +136,7 @@ impl Generator {
             let start = keys.iter().map(|key| key.at(0).normals(channels * frames));
             let features = conditions.iter().map(|cond| cond.as_slice().to_vec());
             let of_steps: Vec<Key> = keys.iter().map(|key| key.at(1)).collect();
-            // Each sample equals the one sampled alone, to the bit.
+            // Each sample equals the sample generated alone, to the bit.
             let x = batch_invariant(conditions.len(), || {
                 let x = sample(
                     &self.diffusion,

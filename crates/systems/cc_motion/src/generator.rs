@@ -17,7 +17,7 @@ use crate::network::{AudioCondition, MotionDecoder, StyleCondition, UNet1d};
 /// One sample, in physical units.
 #[derive(Clone, Debug)]
 pub struct Sample {
-    /// The raw model output, decoded or de-normalised.
+    /// The raw model output, decoded or denormalized.
     pub raw: Phrase,
     /// Post-processed.
     pub motion: Phrase,
@@ -30,7 +30,7 @@ pub struct Generator {
     pub(super) diffusion: GaussianDiffusion,
     pub(super) targets: ChannelEncoding,
     pub(super) post_processing: PostProcessConfig,
-    /// Of one sample; the null style if none.
+    /// Style of one sample; `None` is the null style.
     pub(super) style: Option<StyleCondition>,
     pub(super) device: Device,
     pub(super) state: State,
@@ -40,7 +40,7 @@ impl Generator {
     /// Loads the networks of a trained model.
     ///
     /// # Errors
-    /// If the checkpoint is damaged or does not fit its own config.
+    /// If the checkpoint is damaged or does not match its config.
     pub fn load(trained: &TrainedModel) -> Result<Self, Error> {
         let Trained {
             unet,
@@ -74,10 +74,10 @@ impl Generator {
         }
     }
 
-    /// The same with a post-processing and a style.
+    /// The same generator with a post-processing and a style.
     ///
     /// # Errors
-    /// If the model is not conditioned on such a style, or does not know the label.
+    /// If the model does not support the style condition, or does not know the label.
     pub(super) fn with(
         self,
         post_processing: PostProcessConfig,
@@ -112,19 +112,20 @@ impl Generator {
         &self.state.config
     }
 
-    /// The statistics of its training phrases, of the 25 channels.
+    /// The statistics of the model's training phrases, for the 25 channels.
     pub fn statistics(&self) -> &Statistics {
         &self.state.statistics
     }
 
-    /// The motion of a normalised output `[channels, frames]`, and each heading's confidence, 0 to 1.
+    /// The motion of a normalized output `[channels, frames]`, and each heading's confidence, 0 to
+    /// 1.
     pub(super) fn predicted(&self, values: &[f32]) -> Result<(Phrase, Vec<f64>), Error> {
         let rows = self.state.normalization().denormalize(values);
         let confidence = self.targets.confidence(&rows);
         Ok((Phrase::new(self.targets.decode(rows))?, confidence))
     }
 
-    /// The post-processed sample of a raw motion of which some frames are known.
+    /// The post-processed sample of a raw motion with some known frames.
     pub(super) fn finished(&self, raw: Phrase, confidence: &[f64], is_known: &[bool]) -> Sample {
         let (steps, statistics) = (&self.post_processing, Some(self.statistics()));
         let motion = process_around(&raw, steps, statistics, is_known, confidence);

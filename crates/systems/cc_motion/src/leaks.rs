@@ -1,4 +1,4 @@
-//! Held-out phrases and songs that a fine-tuning's start was trained on.
+//! Held-out phrases and songs in the training data of fine-tuning's initial checkpoints.
 
 use std::collections::BTreeSet;
 
@@ -8,10 +8,10 @@ use kinegrad_train::checkpoint::State;
 
 use super::start::Starts;
 
-/// Most phrases or songs that a warning names.
+/// Largest number of phrases or songs in a warning.
 const NAMED: usize = 5;
 
-/// Warns about held-out phrases and songs of `dataset` that an initial run was trained on.
+/// Warns about held-out phrases and songs of `dataset` in the training data of an initial run.
 pub(super) fn warn(
     starts: &Starts,
     dataset: &Dataset<PhraseItem>,
@@ -31,7 +31,7 @@ fn warnings(
     dataset: &Dataset<PhraseItem>,
     data: &DataConfig,
 ) -> Vec<String> {
-    // Datasets of one digest are split alike.
+    // Datasets with equal digests have equal splits.
     let same = state.dataset_sha256.as_deref() == Some(&dataset.digest.to_string());
     if same || dataset.validation.is_empty() {
         return Vec::new();
@@ -41,7 +41,7 @@ fn warnings(
     if is_synthetic(&before) != is_synthetic(data)
         || (is_synthetic(data) && before.synthetic.seed != data.synthetic.seed)
     {
-        // Synthetic phrases of different seeds share their ids alone.
+        // Synthetic phrases of different seeds share only their ids.
         return Vec::new();
     }
     before.cache.memory_mib = 0;
@@ -71,8 +71,8 @@ fn warnings(
             named(&leaked)
         ));
     }
-    // Other phrases of a song have its music and its dancer. The takes in ids are compared too, because
-    // one of the datasets may not state songs.
+    // Other phrases of a song share the music and the dancer. The takes in ids are also compared,
+    // because one of the datasets may not state songs.
     let names = |songs: &Songs, id: &str| [songs.song(id), song_of(id, None)];
     let [before, own] = songs;
     let trained: BTreeSet<String> = trained.ids().flat_map(|id| names(&before, id)).collect();
@@ -92,7 +92,7 @@ fn warnings(
     warnings
 }
 
-/// The first of the names, and how many more there are.
+/// The first names, and the number of further names.
 fn named(names: &[&str]) -> String {
     let first = names[..names.len().min(NAMED)].join(", ");
     match names.len().saturating_sub(NAMED) {

@@ -1,4 +1,4 @@
-//! Lengths of samples, within and beyond those of training.
+//! Lengths of samples, within and beyond the training lengths.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use kinegrad_train::config::Config;
 
 use super::load::targets;
 
-/// The first frames of a phrase, at most `longest`, as in validation.
+/// The first frames of a phrase, at most `longest` frames, as in validation.
 pub(super) fn leading(phrase: &Arc<PhraseItem>, longest: usize) -> Arc<PhraseItem> {
     match phrase.frames() > longest {
         false => phrase.clone(),
@@ -22,15 +22,16 @@ pub(super) fn leading(phrase: &Arc<PhraseItem>, longest: usize) -> Arc<PhraseIte
     }
 }
 
-/// The windows of the training length for a motion of `frames` frames; `None` if it is not longer, or
-/// if each sample is in the frame of its own first heading, so that windows cannot be joined.
+/// The windows of the training length for a motion of `frames` frames. `None` if the motion is not
+/// longer, or if each sample is relative to its first heading, because such windows cannot be
+/// joined.
 pub(super) fn windows(config: &Config, frames: usize) -> Option<Windows> {
     let longest = config.data.target_frames;
     let fit = targets(config).orientation != OrientationEncoding::CanonicalQuaternion;
     (fit && frames > longest).then(|| Windows::new(frames, longest))
 }
 
-/// A warning if some `frames` of windows or samples are outside the range of training.
+/// A warning if lengths `frames` of windows or samples are outside the training range.
 pub(super) fn untrained(
     config: &Config,
     frames: impl IntoIterator<Item = usize>,

@@ -1,6 +1,7 @@
 //! CC-MotionGen: dance phrases conditioned on audio features (docs/sources.md, section 1).
 //!
-//! Recipe `diffusion` trains the denoiser, `decoder` a decoder on its latents, `e2e` both end to end.
+//! Recipe `diffusion` trains the denoiser, `decoder` a decoder on the denoiser's latents, `e2e`
+//! both end to end.
 
 mod config;
 pub mod evaluate;
@@ -84,7 +85,7 @@ impl System for CcMotion {
         if !RecipeName::of(config).trains_through_sampler() {
             return Ok(None);
         }
-        // A resumed run does not need its start any more.
+        // A resumed run does not need its initial checkpoints.
         if let Some(saved) = saved {
             let tables = [start::OF_BASE.as_slice(), &start::OF_DECODER].concat();
             return Ok(Some(tables_of(saved, &tables)));

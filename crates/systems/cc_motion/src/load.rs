@@ -15,14 +15,14 @@ use super::{CcMotionConfig, CcMotionNetwork};
 use crate::network::decoder::{DecoderInit, Normalization};
 use crate::network::{DecoderConfig, MotionDecoder, MotionModel, UNet1d, UNet1dConfig};
 
-/// Names of the networks of a model that has both.
+/// Names of the networks of a model with both networks.
 const NETWORKS: &[&str] = &["unet", "decoder"];
 
 /// Trained networks, with merged adapters, and the state of their training.
 pub struct Trained {
     /// The denoiser.
     pub unet: UNet1d,
-    /// The decoder, of a recipe that has one.
+    /// The decoder, for recipes with a decoder.
     pub decoder: Option<MotionDecoder>,
     /// Config, step, statistics.
     pub state: State,
@@ -32,7 +32,7 @@ impl Trained {
     /// Loads a checkpoint onto `device`.
     ///
     /// # Errors
-    /// If the checkpoint is damaged or does not fit its own config.
+    /// If the checkpoint is damaged or does not match its config.
     pub fn load(saved: &SavedCheckpoint, weights: Weights, device: &Device) -> Result<Self, Error> {
         let state = saved.state.clone();
         let config = &state.config;
@@ -71,7 +71,7 @@ pub(crate) fn targets(config: &Config) -> ChannelEncoding {
     unet1d(config).targets()
 }
 
-/// The decoder of a config, with fresh weights; `statistics` normalised the networks' channels.
+/// The decoder of a config, with fresh weights; `statistics` normalized the networks' channels.
 pub(crate) fn decoder(
     config: &Config,
     statistics: &Statistics,
@@ -95,7 +95,7 @@ pub(super) fn parameter_count(config: &Config) -> Result<ParameterCount, Error> 
     }
     let adapts = config.own::<CcMotionConfig>().lora.is_some();
     let infos = parameters::infos(&lazy_model(config, unet)?);
-    // As in `trainable`, without initialising weights.
+    // As in `trainable`, without initializing weights.
     let trains = |info: &ParameterInfo| match adapts {
         true => is_adapter(info),
         false => recipe != RecipeName::Decoder,
@@ -105,7 +105,7 @@ pub(super) fn parameter_count(config: &Config) -> Result<ParameterCount, Error> 
     }))
 }
 
-/// `unet` with the adapters and the decoder of a config, of lazy parameters.
+/// `unet` with the adapters and the decoder of a config, with lazy parameters.
 fn lazy_model(config: &Config, unet: UNet1d) -> Result<MotionModel, Error> {
     let (own, init) = (
         config.own::<CcMotionConfig>(),

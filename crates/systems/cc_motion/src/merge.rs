@@ -11,8 +11,8 @@ use super::load::networks;
 use super::{CcMotion, CcMotionConfig};
 use crate::network::MotionModel;
 
-/// Merges the adapters of the checkpoint `saved` into their weights, and writes the result as the
-/// only checkpoint of a run in `out`, a new or empty folder, without optimiser state. Returns the
+/// Merges the adapters of the checkpoint `saved` into the weights. Writes the result without
+/// optimizer state as the only checkpoint of a run in `out`, a new or empty folder. Returns the
 /// path of the checkpoint.
 pub(super) fn merge(saved: SavedCheckpoint, out: &Path) -> Result<PathBuf, Error> {
     let saved = (&CcMotion as &dyn System).read_tables(saved)?;

@@ -1,6 +1,6 @@
 //! A ground path that the root of a phrase follows (docs/sources.md, section 7, options B and D).
 //!
-//! As training phrases, the path is moved to the origin in each window, and not turned.
+//! Like training phrases, the path is moved to the origin in each window, and not turned.
 
 use std::path::PathBuf;
 
@@ -16,18 +16,18 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::to_value;
 
-/// The table `evaluation.path`: how a phrase follows the path of `kinegrad sample --path`.
+/// The table `evaluation.path`: path following of phrases in `kinegrad sample --path`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PhrasePathConfig {
     /// The method that keeps the root on the path during sampling.
     pub method: PhrasePathMethod,
-    /// For `guidance`: length of a step against the gradient of the squared distance.
+    /// For `guidance`: length of a step against the squared distance's gradient.
     pub guidance_step_size: f64,
-    /// For `guidance`: distance from the path that costs nothing, metres.
+    /// For `guidance`: largest distance from the path without a loss, in meters.
     pub tolerance: f64,
-    /// Last timestep at which the path acts. With `override`, positions are those of the path in the
-    /// end whatever it is.
+    /// Last timestep at which the path acts. With `override`, final positions lie on the path for
+    /// any value.
     pub stop_timestep: usize,
 }
 
@@ -46,17 +46,17 @@ impl Default for PhrasePathConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PhrasePathMethod {
-    /// Position, velocity and acceleration along the ground are replaced in the predicted clean motion
-    /// at each step (option B).
+    /// Replaces ground position, velocity and acceleration in the predicted clean motion at each
+    /// step (option B).
     #[default]
     Override,
-    /// The noisy motion goes against the gradient of the distance at each step (option D).
+    /// Moves the noisy motion against the distance's gradient at each step (option D).
     Guidance,
 }
 
 impl PhrasePathConfig {
     /// # Errors
-    /// Names the key that cannot work with so many timesteps.
+    /// Names the key that is invalid for the number of timesteps.
     pub fn validate(&self, num_train_timesteps: usize) -> Result<(), InvalidSetting> {
         in_range("guidance_step_size", self.guidance_step_size, 0.0..)?;
         in_range("tolerance", self.tolerance, 0.0..)?;
@@ -68,7 +68,7 @@ impl PhrasePathConfig {
 #[derive(Clone, Debug)]
 pub struct PhrasePath {
     config: PhrasePathConfig,
-    /// `[frames]`, x and z, metres.
+    /// x and z in meters, `[frames]`.
     points: Vec<[f64; 2]>,
 }
 
@@ -77,12 +77,12 @@ pub(super) struct PathCondition {
     file: PathBuf,
     plan: PathPlan,
     target: PathTarget,
-    /// In the frame of sampling.
+    /// The path, in the coordinates of sampling.
     pub followed: PhrasePath,
 }
 
 impl PathCondition {
-    /// The path of a file for `frames` frames.
+    /// The path in a file, for `frames` frames.
     pub fn new(
         (file, plan): &(PathBuf, PathPlan),
         frames: usize,
@@ -133,8 +133,8 @@ impl PhrasePath {
         self.config.method == method && timestep >= self.config.stop_timestep
     }
 
-    /// The guidance step of noisy windows, `[windows, channels, frames of a window]`, normalised:
-    /// `None` if there is no guidance at this timestep.
+    /// The guidance step of normalized noisy windows, `[windows, channels, frames of a window]`;
+    /// `None` without guidance at this timestep.
     pub fn step(
         &self,
         noisy: &[f32],
@@ -161,7 +161,7 @@ impl PhrasePath {
                 let over = (distance - self.config.tolerance).max(0.0);
                 let share = if distance > 0.0 { over / distance } else { 0.0 };
                 for i in [0, 1] {
-                    // The gradient of the square by the normalised channel.
+                    // The gradient of the square with respect to the normalized channel.
                     step[at[i]] =
                         (self.config.guidance_step_size * 2.0 * share * away[i] * std[i]) as f32;
                 }
@@ -170,7 +170,8 @@ impl PhrasePath {
         Some(step)
     }
 
-    /// `override` in predicted clean windows, `[windows, channels, frames of a window]`, normalised.
+    /// Applies `override` to normalized predicted clean windows, `[windows, channels, frames of a
+    /// window]`.
     pub fn put(
         &self,
         predicted: &mut [f32],
@@ -202,7 +203,7 @@ impl PhrasePath {
         }
     }
 
-    /// Moves a phrase to the start of the path, and with `override` onto it in every frame.
+    /// Moves a phrase to the start of the path; with `override`, onto the path in every frame.
     pub fn finish(&self, motion: &mut Phrase) {
         let start = self.points[0];
         for t in 0..motion.frames() {
@@ -222,12 +223,12 @@ impl PhrasePath {
     }
 }
 
-/// Position, velocity and acceleration along the ground of a root at `points`, with their channels.
+/// Ground position, velocity and acceleration of a root at `points`, with channel indices.
 fn channels_of(points: &[[f64; 2]]) -> Vec<(usize, Vec<f64>)> {
     let change = |values: &[f64]| -> Vec<f64> {
         let changes = values.windows(2).map(|pair| FPS * (pair[1] - pair[0]));
         let mut changes: Vec<f64> = changes.collect();
-        // The last frame repeats the derivatives of the one before.
+        // The last frame repeats the previous frame's derivatives.
         changes.push(changes.last().copied().unwrap_or(0.0));
         changes
     };
@@ -309,7 +310,8 @@ mod tests {
                 .sum()
         };
         let moved: Vec<f32> = noisy.iter().zip(&step).map(|(x, step)| x - step).collect();
-        // Of a square: by 2 guidance_step_size std^2 of the distance.
+        // The distance decreases by the share 2 guidance_step_size std^2, because the loss is a
+        // square.
         let share = away(&moved) / away(&noisy);
         assert!((share - (1.0 - 2.0 * 0.2 * 0.25)).abs() < 1e-6, "{share}");
         let ground = |index: usize| [0, 2].contains(&(index / 40));

@@ -1,4 +1,4 @@
-//! The base model and the decoder that recipe `e2e` trains first where `init.diffusion` is empty.
+//! The base model and the decoder that recipe `e2e` trains first if `init.diffusion` is empty.
 
 use std::path::Path;
 use std::rc::Rc;
@@ -10,16 +10,16 @@ use kinegrad_train::{Ending, Error, Observer, ProcessGroup, Systems};
 use super::recipe_name::RecipeName;
 use super::{CcMotion, CcMotionConfig, InitConfig, PretrainConfig};
 
-/// Names of the two runs, in the folder of the run that starts from them.
+/// Names of the two initial runs, in the folder of the main run.
 pub(super) const STAGES: [&str; 2] = [BASE, DECODER];
 const BASE: &str = "base";
 const DECODER: &str = "decoder";
 
-/// Validations of each of the two.
+/// Number of validations of each initial run.
 const VALIDATIONS: u64 = 4;
 
-/// The `saved` config of the run in `folder`: a decoder whose base model is the one next to it,
-/// named by its former path, gets the path of `given`.
+/// The `saved` config of the run in `folder`. If a decoder's base model is the neighboring run
+/// under a former path, the path becomes the path in `given`.
 pub(super) fn moved(saved: Config, given: &Config, folder: &Path) -> Result<Config, Error> {
     let mut own = saved.own::<CcMotionConfig>().clone();
     let base = &given.own::<CcMotionConfig>().init.diffusion;
@@ -32,7 +32,7 @@ pub(super) fn moved(saved: Config, given: &Config, folder: &Path) -> Result<Conf
     Ok(saved.with_own(own))
 }
 
-/// Refuses to train a new base model for a decoder that was trained on another one.
+/// Refuses to train a new base model for a decoder that was trained on another base model.
 fn must_have_base(folder: &Path) -> Result<(), Error> {
     let [base, decoder] = STAGES.map(|stage| folder.join(stage));
     if !contains_run(&decoder)? || contains_run(&base)? {
@@ -49,8 +49,8 @@ fn must_have_base(folder: &Path) -> Result<(), Error> {
     ))
 }
 
-/// Trains or resumes both initial runs, and returns their settings. The inner error is the outcome of
-/// an interrupted run; resuming the outer one continues it.
+/// Trains or resumes both initial runs, and returns their settings. The inner error is the outcome
+/// of an interrupted initial run; resuming the main run continues the initial run.
 pub(super) fn run(
     config: &Config,
     folder: &Path,
@@ -87,7 +87,7 @@ pub(super) fn run(
     Ok(Ok(init))
 }
 
-/// Notes that both are trained first, and their steps.
+/// Notes that both runs are trained first, and their steps.
 pub(super) fn announce<'a>(
     config: &'a Config,
     folder: &Path,
@@ -104,7 +104,7 @@ pub(super) fn announce<'a>(
     pretrain
 }
 
-/// The config of one of the two: `config` with another recipe, starting from `init`.
+/// The config of an initial run: `config` with another recipe, starting from `init`.
 fn stage(
     config: &Config,
     name: &str,

@@ -24,26 +24,26 @@ pub(super) const RECIPES: [RecipeInfo; 3] = [
 pub(super) enum RecipeName {
     /// The denoiser.
     Diffusion,
-    /// The decoder, on a denoiser that does not change.
+    /// Trains the decoder on a frozen denoiser.
     Decoder,
-    /// Denoiser and decoder, through the sampler.
+    /// Trains denoiser and decoder through the sampler.
     E2e,
 }
 
 impl RecipeName {
-    /// The recipe of a config of this system; panics for another system's.
+    /// The recipe of a config of this system; panics for other systems.
     pub fn of(config: &Config) -> Self {
         let mut all = [Self::Diffusion, Self::Decoder, Self::E2e].into_iter();
         all.find(|recipe| recipe.name() == config.train.recipe)
             .expect("a recipe of this system")
     }
 
-    /// Its name in configs.
+    /// Name in configs.
     pub fn name(self) -> &'static str {
         RECIPES[self as usize].name
     }
 
-    /// True if it runs the sampler in training, so that `rollout`, `decoder` and `loss` apply.
+    /// True if training runs the sampler, so that `rollout`, `decoder` and `loss` apply.
     pub fn trains_through_sampler(self) -> bool {
         self != Self::Diffusion
     }

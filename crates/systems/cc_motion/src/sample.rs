@@ -65,7 +65,7 @@ struct Task {
     /// The condition in file names and in the seed of the noise.
     name: String,
     audio: AudioFeatures,
-    /// The windows and the known frames; none for motion that is sampled as a whole.
+    /// The windows and the known frames; `None` for motion sampled as a whole.
     windows: Option<(Windows, Option<KnownFrames>)>,
     path: Option<PathCondition>,
 }
@@ -137,7 +137,7 @@ impl<'a> Phrases<'a> {
         });
     }
 
-    /// Adds the job of an audio condition; a long one, known frames and a path need windows.
+    /// Adds the job of an audio condition. Long conditions, known frames and paths need windows.
     fn resolve(&mut self, audio: Audio, path: Option<&(PathBuf, PathPlan)>) -> Result<(), Error> {
         let (request, config) = (self.request, self.trained.config());
         let (frames, trained) = (audio.features.frames(), config.data.target_frames);
@@ -195,8 +195,8 @@ impl<'a> Phrases<'a> {
         self.request.post_processing.unwrap_or_default().into()
     }
 
-    /// One sample for each held-out phrase, with a table of its checks. They equal the first samples
-    /// requested by the ids of the phrases with the same seed.
+    /// One sample for each held-out phrase, with a table of checks. The samples equal the first
+    /// samples requested by the phrases' ids with the same seed.
     fn held_out(&self, run: &mut Run<'_>, generator: &Generator) -> Result<Summary, Error> {
         let sampling = &self.trained.config().sampling;
         let header = ["sample", "ccmotion", "strict", "fails"];
@@ -323,7 +323,7 @@ fn generated(sample: Sample) -> Generated {
     }
 }
 
-/// A line of both profiles' verdicts.
+/// A line with the results of both profiles.
 fn checked(name: &str, motion: &Phrase, statistics: &Statistics) -> Result<Vec<String>, Error> {
     let ccmotion = Some(check(motion, Profile::Ccmotion, None)?);
     // Statistics without movement measures are insufficient.
@@ -400,8 +400,8 @@ fn of_features(file: &Path, config: &Config) -> Result<Audio, Error> {
     })
 }
 
-/// The features of a song from the requested start. They are computed on the whole song, because
-/// features of a part are normalised differently from those of training.
+/// The features of a song from the requested start. The computation uses the whole song, because
+/// features of a part are normalized differently from the training features.
 fn of_song(
     song: &Path,
     begins: f64,
@@ -449,7 +449,7 @@ fn of_song(
     })
 }
 
-/// The phrases that a request names, or the first held-out one.
+/// The phrases that a request names, or the first held-out phrase.
 fn of_phrases(
     request: &Request,
     config: &Config,

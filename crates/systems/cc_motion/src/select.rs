@@ -18,10 +18,10 @@ use super::generate::Generator;
 use super::lengths::leading;
 use crate::network::{MotionDecoder, UNet1d};
 
-/// Seed of the samples, the same at each validation and in all runs, so that only weights differ.
+/// Seed of the samples; equal at each validation and in all runs, so that only weights differ.
 const SEED: u64 = 0;
 
-/// Denoiser and decoder, if there is one, of a trained model.
+/// Denoiser and optional decoder of a trained model.
 pub(super) type NetworksOf<M> = fn(&M) -> (UNet1d, Option<MotionDecoder>);
 
 /// The held-out phrases of the samples.
@@ -36,8 +36,8 @@ pub(super) struct Selection {
 }
 
 impl Selection {
-    /// The selection by `validation.select_by` of the state's config, on the first of the phrases
-    /// `held_out`, at least two; none by the loss or without validation.
+    /// The selection by `validation.select_by` in the state's config, on the first phrases of
+    /// `held_out`, at least two. `None` for selection by the loss or without validation.
     pub fn new(
         held_out: &PhraseSet,
         diffusion: &GaussianDiffusion,
@@ -66,7 +66,7 @@ impl Selection {
         }))
     }
 
-    /// The score of networks on the plain `device`, by one sample for each phrase.
+    /// The score of networks on the plain `device`, from one sample per phrase.
     fn score(
         &self,
         (unet, decoder): (UNet1d, Option<MotionDecoder>),
@@ -86,7 +86,7 @@ impl Selection {
     }
 }
 
-/// The score of an evaluation; infinite if samples are not finite.
+/// The score of an evaluation; infinity if a sample is not finite.
 fn score(by: SelectBy, report: &EvaluationReport) -> Score {
     let (sampled, real) = (&report.processed, &report.real);
     let ratio = sampled.diversity.zip(real.diversity);
@@ -110,13 +110,13 @@ fn score(by: SelectBy, report: &EvaluationReport) -> Score {
     }
 }
 
-/// A recipe whose best step can be selected by samples.
+/// A recipe with optional selection of the best step by samples.
 pub(super) struct Selecting<R: Recipe> {
     /// The trained part.
     pub recipe: R,
-    /// The criterion of the best step, if other than the loss.
+    /// The criterion of the best step, if not the loss.
     pub selection: Option<Selection>,
-    /// The networks of its samples.
+    /// The networks that generate the samples.
     pub networks: NetworksOf<R::Model>,
 }
 

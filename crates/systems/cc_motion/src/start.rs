@@ -18,13 +18,13 @@ use super::recipe_name::RecipeName;
 use super::{CcMotion, CcMotionConfig, InitConfig};
 use crate::network::{Beats, MotionModel};
 
-/// Tables that follow from the run that `init.diffusion` names.
+/// Tables inherited from the run `init.diffusion`.
 pub(super) const OF_BASE: [&str; 2] = ["model", "diffusion"];
 
-/// Tables that follow from the run that `init.decoder` names.
+/// Tables inherited from the run `init.decoder`.
 pub(super) const OF_DECODER: [&str; 1] = ["decoder"];
 
-/// The checkpoints that a fine-tuning starts from.
+/// The initial checkpoints of fine-tuning.
 #[derive(Clone, Debug)]
 pub(crate) struct Starts {
     diffusion: Start,
@@ -32,7 +32,7 @@ pub(crate) struct Starts {
 }
 
 impl Starts {
-    /// The checkpoints that `init` names; none where `init.diffusion` is empty.
+    /// The checkpoints that `init` names; `None` if `init.diffusion` is empty.
     pub fn named(init: &InitConfig) -> Result<Option<Self>, Error> {
         let Some(diffusion) = Start::named("init.diffusion", &init.diffusion, &CcMotion)? else {
             return Ok(None);
@@ -41,8 +41,9 @@ impl Starts {
         Ok(Some(Self { diffusion, decoder }))
     }
 
-    /// Defaults of the new config: the tables of networks and process, and the split and labels of a
-    /// base that was trained on the dataset of `config`, so that its training items are not held out.
+    /// Defaults of the new config: the tables of networks and process. If the base model was
+    /// trained on the dataset of `config`, also its split and labels, so that the base's training
+    /// items are not held out.
     pub fn tables_for(&self, config: &Config) -> Table {
         let mut tables = self.diffusion.tables(&OF_BASE);
         if let Some(decoder) = &self.decoder {
@@ -61,7 +62,7 @@ impl Starts {
         tables
     }
 
-    /// The state of the denoiser's checkpoint, which is of phrases.
+    /// The state of the denoiser's checkpoint, for models of phrases.
     pub fn state(&self) -> Result<&State, Error> {
         let state = self.diffusion.state();
         state.statistics_of(&Phrases)?;
@@ -75,7 +76,7 @@ impl Starts {
         starts.map(|start| (start.key, start.state()))
     }
 
-    /// The networks with the start's EMA weights, on an autodiff device.
+    /// The networks with the EMA weights of the initial checkpoints, on an autodiff device.
     pub fn networks(&self, config: &Config, device: &Device) -> Result<MotionModel, Error> {
         let load = |saved: &_| Trained::load(saved, Weights::Ema, device);
         let base = self.diffusion.load(load)?;
@@ -83,7 +84,7 @@ impl Starts {
         must_have_features(config, &base.state.config)?;
         base.state.statistics_of(&Phrases)?;
         let statistics = base.state.normalization();
-        // The dropout and the coherence of this config, with the weights of the start.
+        // Uses dropout and coherence of this config with the weights of the initial checkpoints.
         let unet = parameters::replace(denoiser(config, device)?, parameters::values(&base.unet));
         let mut decoder = decoder(config, statistics, device)?;
         if let Some(given) = &self.decoder {
@@ -105,7 +106,7 @@ impl Starts {
     }
 }
 
-/// Rejects a config whose model has other audio features than its initial model.
+/// Rejects a config with other audio features than the initial model's config.
 fn must_have_features(config: &Config, start: &Config) -> Result<(), Error> {
     let [given, start] = [config, start]
         .map(|config| serde_json::to_string(&config.data.audio_features).unwrap_or_default());
@@ -120,7 +121,7 @@ pub(super) fn is_of_one_source(a: &DataConfig, b: &DataConfig) -> bool {
         && match a.kind {
             DataKind::Synthetic => a.synthetic == b.synthetic,
             _ => {
-                // Folders by their canonical paths.
+                // Compares folders by their canonical paths.
                 let place = |source: &str| canonicalize(source).unwrap_or_else(|_| source.into());
                 let [a, b] = [a, b].map(|data| data.source.as_deref().map(place));
                 a.is_some() && a == b

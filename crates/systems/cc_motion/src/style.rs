@@ -16,11 +16,11 @@ use super::load::unet1d;
 use super::{CcMotionConfig, CcMotionNetwork};
 use crate::network::{AudioCondition, StyleCondition, StyleConditioning};
 
-/// `config` with the labels of the training phrases, if its network has labels and the config
-/// states none. Reports phrases without a known label.
+/// `config` with the labels of the training phrases, if the network has labels and the config
+/// states no labels. Reports phrases without a known label.
 ///
 /// # Errors
-/// If there are no labels, or a training phrase has an invalid or unknown one.
+/// If no labels exist, or a training phrase has an invalid or unknown label.
 pub(super) fn with_labels(
     config: Config,
     dataset: &Dataset<PhraseItem>,
@@ -117,8 +117,8 @@ pub(super) fn condition(cond: &Conditions, lengths: Option<Lengths>) -> AudioCon
     }
 }
 
-/// The condition of one sample of a style for the network of a config; `statistics` are of the 25
-/// stored channels.
+/// The style condition of one sample for the network of a config; `statistics` are of the 25 stored
+/// channels.
 ///
 /// # Errors
 /// As [`must_know`].

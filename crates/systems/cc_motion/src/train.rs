@@ -58,7 +58,7 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
     if let Some(starts) = &starts
         && group.writes()
     {
-        // Another dataset, read for a warning alone.
+        // Another dataset, read only for a warning.
         leaks::warn(starts, &dataset, &config.data, observer);
     }
     let targets = targets(&config);
@@ -78,7 +78,7 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
             let own = state.network_statistics.clone();
             let mut statistics = state.statistics.clone();
             if statistics.movement.is_empty() {
-                // Old checkpoints do not contain it.
+                // Old checkpoints do not contain movement measures.
                 statistics.movement = measured(&dataset)?.movement;
             }
             (
@@ -89,7 +89,7 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
         (None, None) => {
             let none = AugmentConfig::default();
             let of_crops = config.data.statistics != StatisticsOf::Phrases;
-            // Crops are measured at the speeds that they are played at.
+            // Crops are measured at their playback speeds.
             let before = AugmentConfig {
                 speed: if of_crops { augment.speed } else { 0.0 },
                 ..none.clone()
@@ -125,7 +125,7 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
     let through_sampler = |diffusion| {
         let model = match starts {
             Some(starts) => starts.networks(&config, &context.device)?,
-            // The weights of the checkpoint will replace them.
+            // The weights of the checkpoint will replace these initial weights.
             None => networks(&config, &normalized, &context.device)?,
         };
         let rollouts = Rollouts::new(diffusion, &own.rollout, normalized)?;
@@ -163,8 +163,8 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
     }
 }
 
-/// The statistics of the channels of `targets` with the range of augmented phrases, to which predicted
-/// ones are clipped; the range includes that of the augmentation `before` already.
+/// The statistics of the channels of `targets`, with the range of augmented phrases for clamping
+/// predictions. The given range already includes the augmentation `before`.
 fn widened(
     mut statistics: Statistics,
     targets: ChannelEncoding,
@@ -172,7 +172,7 @@ fn widened(
     before: &AugmentConfig,
 ) -> Statistics {
     let faster = ((1.0 + augment.speed) / (1.0 + before.speed)).max(1.0);
-    // A faster dancer gets further in the same time.
+    // A faster dancer moves further in the same time.
     for (channels, power) in [
         (POSITION, 1),
         (VELOCITY, 1),
@@ -202,7 +202,7 @@ mod tests {
 
     use super::*;
 
-    /// Phrases that lie to one side in every channel.
+    /// Phrases with values on one side of zero in every channel.
     fn phrases() -> Vec<Phrase> {
         let value = |i: usize| 0.2 + ((i * 7919) % 101) as f32 / 200.0;
         let phrase =

@@ -1,9 +1,10 @@
 //! Sampling motion in overlapping windows: whole songs, and motion with known frames.
 //!
-//! The windows have the training length and are sampled jointly. After each prediction of the clean
-//! motion they are stitched to one motion ([`kinegrad_motion::stitch`]) and continue from their
-//! parts of it, with the noise that leads from there to their states; frames that several windows
-//! share have the same noise. Memory is bounded by the number of windows in one network call.
+//! The windows have the training length and are sampled jointly. After each prediction, the
+//! predicted clean windows are stitched to one motion ([`kinegrad_motion::stitch`]), and each
+//! window continues from its part of the motion. The noise is recomputed to fit the part and the
+//! window's state. Frames shared by several windows have the same noise. The number of windows in
+//! one network call bounds the memory.
 
 use std::ops::{ControlFlow, Range};
 
@@ -30,27 +31,27 @@ use super::generator::{Generator, Sample};
 use super::path::PhrasePath;
 use crate::network::decoder::{Coherence, MotionDecoder};
 
-/// Windows that the network sees at a time.
+/// Default number of windows in one network call.
 pub const WINDOWS_IN_FLIGHT: usize = 8;
 
 /// A motion to be sampled in windows.
 #[derive(Clone, Debug)]
 pub struct WindowedSampling<'a> {
-    /// Its conditions, for all frames.
+    /// Audio condition of all frames.
     pub audio: &'a AudioFeatures,
-    /// Its windows; each is conditioned on its part of the audio.
+    /// Windows of the motion; each window is conditioned on its part of the audio.
     pub windows: Windows,
     /// Known frames.
     pub known: Option<&'a KnownFrames>,
-    /// The path that it follows.
+    /// The path that the motion follows.
     pub path: Option<&'a PhrasePath>,
-    /// Windows that the network sees at a time. More are faster and take more memory; on the CPU
-    /// the motion is the same to the bit.
+    /// Number of windows in one network call. More windows are faster and need more memory. On the
+    /// CPU, the motion does not depend on this number, to the bit.
     pub in_flight: usize,
 }
 
 impl WindowedSampling<'_> {
-    /// Ranges of windows that the network sees at a time.
+    /// Ranges of windows for the network calls.
     fn batches(&self) -> impl Iterator<Item = Range<usize>> + use<> {
         let (windows, in_flight) = (self.windows.len(), self.in_flight.max(1));
         let firsts = (0..windows).step_by(in_flight);
@@ -59,8 +60,8 @@ impl WindowedSampling<'_> {
 }
 
 impl Generator {
-    /// Generates a motion in windows, by the noise of `key`. `on_windows` is called whenever the
-    /// network has seen some windows, with how many it has seen in all steps and how many there are.
+    /// Generates a motion in windows from the noise of `key`. After each network call, `on_windows`
+    /// gets the number of processed windows and their total number over all steps.
     ///
     /// # Errors
     /// If the sampler's settings are invalid, and [`Error::Interrupted`] after `Break`.
@@ -113,7 +114,7 @@ impl Generator {
         }
     }
 
-    /// Windows as the network predicts them, as one motion of which each becomes its part.
+    /// Stitches predicted windows to one motion; each window becomes its part of the motion.
     fn stitched(
         &self,
         windowed: &WindowedSampling<'_>,
@@ -127,8 +128,9 @@ impl Generator {
         self.turned_and_stitched(turning, windowed, values, known)
     }
 
-    /// Stitches windows to one motion; each window becomes its part, in its own place and heading.
-    /// Windows of a model trained on one heading, and windows along a path, are not rotated.
+    /// Stitches windows to one motion. Each window becomes its part of the motion, with its own
+    /// position and heading. Windows of a model trained on one heading, and windows along a path,
+    /// are not rotated.
     fn turned_and_stitched(
         &self,
         turning: HeadingAlignment<'_>,
@@ -148,7 +150,7 @@ impl Generator {
         motion
     }
 
-    /// The denoised windows, `[windows, channels, frames of a window]`, normalised.
+    /// The normalized denoised windows, `[windows, channels, frames of a window]`.
     fn latents(
         &self,
         windowed: &WindowedSampling<'_>,
@@ -181,7 +183,7 @@ impl Generator {
                 let cond = [batch.len(), windowed.audio.channels(), windows.length()];
                 let cond = self.condition(self.on_device(features.flatten().collect(), cond));
                 let x = x.clone().narrow(0, batch.start, batch.len());
-                // Each window equals the one sampled alone, to the bit.
+                // Each window equals the window sampled alone, to the bit.
                 let prediction = batch_invariant(batch.len(), || {
                     let time = &time[batch.clone()];
                     let scales = config.guidance(time[0].timestep());
@@ -234,8 +236,8 @@ impl Generator {
         Ok(host_values(x))
     }
 
-    /// The motion of latent windows: each is decoded in its own frame, as in training; the coherent
-    /// trajectory is that of the whole motion.
+    /// The motion of latent windows. Each window is decoded in its own coordinates, as in training.
+    /// The coherent trajectory covers the whole motion.
     fn decoded(
         &self,
         decoder: &MotionDecoder,
@@ -279,14 +281,14 @@ impl Generator {
             motion.set_quaternion(t, quaternion);
         }
         if coherence != Coherence::None {
-            // As the decoder does for a phrase: that of the quaternions.
+            // As in the decoder for a phrase: the derivative of the quaternions.
             derive_angular_velocity(&mut motion);
         }
         Ok(motion)
     }
 }
 
-/// True for each known one of `frames` frames.
+/// True for known frames among `frames` frames.
 fn is_known(known: Option<&stitch::KnownFrames>, frames: usize) -> Vec<bool> {
     known.map_or_else(|| vec![false; frames], |known| known.is_known.clone())
 }

@@ -15,23 +15,23 @@ use serde::Serialize;
 use super::movement::{MovementSpread, movement_spreads};
 use super::terms::{LossTerm, loss_terms};
 
-/// The metrics of one set of phrases; none (in JSON `null`) for one that cannot be computed.
+/// The metrics of one set of phrases; `None` (`null` in JSON) for metrics that cannot be computed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Measures {
-    /// Mean distance of the motions of two different phrases, in training standard deviations:
-    /// over all pairs with the same seed, then over seeds. Needs two phrases.
+    /// Mean distance between motions of different phrases in training standard deviations, over all
+    /// pairs with the same seed, then over seeds. Needs two phrases.
     pub diversity: Option<f64>,
-    /// The same for two samples of one phrase. Needs two seeds.
+    /// Mean distance between two samples of one phrase. Needs two seeds.
     pub same_phrase_diversity: Option<f64>,
-    /// Fréchet distance to the held-out phrases that were used. Needs two of each.
+    /// Fréchet distance to the used held-out phrases. Needs two samples and two phrases.
     pub frechet_held_out: Option<f64>,
-    /// Fréchet distance to the training phrases. Needs two of each.
+    /// Fréchet distance to the training phrases. Needs two samples and two phrases.
     pub frechet_training: Option<f64>,
-    /// Beat alignment with the phrase's own music, whatever the condition; mean over motions with beats.
+    /// Beat alignment with the phrase's own music for any condition; mean over motions with beats.
     pub beat_alignment: Option<f64>,
-    /// Mean jerk norm of the acceleration channels, metres per second cubed.
+    /// Mean jerk norm of the acceleration channels, meters per second cubed.
     pub mean_jerk: Option<f64>,
-    /// The movement, measured on positions, quaternions and phase alone.
+    /// The movement, measured only on positions, quaternions and phase.
     pub movement: Vec<MovementSpread>,
     /// The losses of end-to-end fine-tuning.
     pub losses: Vec<LossTerm>,
@@ -44,7 +44,7 @@ pub struct Measures {
 /// The results of a set of phrases in the checks of a profile.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ProfileRates {
-    /// Share that passes all checks, 0 to 1.
+    /// Share of phrases that pass all checks, 0 to 1.
     pub pass_rate: f64,
     /// The checks, in the order of the profile.
     pub checks: Vec<CheckRate>,
@@ -55,9 +55,9 @@ pub struct ProfileRates {
 pub struct CheckRate {
     /// Name of the check.
     pub name: &'static str,
-    /// Share that passes, 0 to 1.
+    /// Share of phrases that pass, 0 to 1.
     pub pass_rate: f64,
-    /// Mean of the measured value, in the units of the check; of a range, means of both ends.
+    /// Mean of the measured value, in the units of the check; for ranges, the means of both ends.
     pub value: Value,
 }
 
@@ -71,7 +71,8 @@ impl ProfileRates {
             if checks.iter().any(|rate| rate.name == named.name) {
                 continue;
             }
-            // Reports of `ccmotion` have the check `finite` only if it fails; else the value is 0.
+            // Reports of `ccmotion` contain the check `finite` only if the check fails; else the
+            // value is 0.
             let lines = || reports.iter().filter_map(|report| report.check(named.name));
             let failed = lines().filter(|check| !check.passed).count();
             checks.push(CheckRate {
@@ -86,7 +87,7 @@ impl ProfileRates {
         }
     }
 
-    /// The check of that name.
+    /// The check with this name.
     pub fn check(&self, name: &str) -> Option<&CheckRate> {
         self.checks.iter().find(|check| check.name == name)
     }
@@ -117,8 +118,9 @@ pub(super) struct Reference<'a> {
 }
 
 impl<'a> Reference<'a> {
-    /// The reference of these phrases, in units of the run's `statistics`. Missing movement measures of
-    /// the statistics are those of the `training` phrases, or without them of the held-out ones.
+    /// The reference of these phrases, in units of the run's `statistics`. Missing movement
+    /// measures of the statistics come from the `training` phrases, or from the held-out phrases
+    /// without training phrases.
     pub fn new(
         held_out: &'a [Arc<PhraseItem>],
         training: &[Arc<PhraseItem>],
@@ -149,8 +151,8 @@ impl<'a> Reference<'a> {
         }
     }
 
-    /// The metrics of motions: a list for each held-out phrase, in their order, all of one length;
-    /// at least one phrase and one motion each.
+    /// The metrics of motions. `motions` has one list per held-out phrase, in order; all lists have
+    /// the same length of at least one motion, and at least one phrase is needed.
     pub fn measure(&self, motions: &[Vec<Phrase>]) -> Measures {
         let all = || motions.iter().flatten();
         let rates = |profile| {
@@ -225,7 +227,7 @@ mod tests {
         kinegrad_motion::phrase_statistics(phrases.iter().map(|phrase| &phrase.motion)).unwrap()
     }
 
-    /// The phrase moved by `metres` along x, in every frame.
+    /// The phrase, moved by `metres` along x in every frame.
     fn moved(phrase: &PhraseItem, metres: f64) -> Phrase {
         let mut motion = phrase.motion.clone();
         for t in 0..motion.frames() {
@@ -272,12 +274,13 @@ mod tests {
         let statistics = statistics(&training);
         let reference = Reference::new(&held_out, &training, &statistics);
         let [a, b] = [0, 1].map(|index| held_out[index].clone());
-        // Seed 1 is seed 0 moved by three metres, so the phrases are as far apart under both.
+        // Seed 1 is seed 0 moved by three meters, so phrases have the same distance under both
+        // seeds.
         let samples = [&a, &b].map(|phrase| vec![phrase.motion.clone(), moved(phrase, 3.0)]);
         let measures = reference.measure(&samples);
         let apart = diversity(&[&a.motion, &b.motion], &statistics).unwrap();
         assert!((measures.diversity.unwrap() - apart).abs() < 1e-6);
-        // One of nine channels differs, by the same amount in every frame.
+        // One of nine channels differs by the same amount in every frame.
         let expected = 3.0 / statistics.std[0] / 3.0;
         assert!((measures.same_phrase_diversity.unwrap() - expected).abs() < 1e-6);
     }
@@ -298,7 +301,7 @@ mod tests {
             assert!(json[key].is_null(), "{key}: {}", json[key]);
         }
         assert!(json["mean_jerk"].is_number() && json["beat_alignment"].is_number());
-        // Two samples of one phrase have a covariance, the phrase alone has none.
+        // Two samples of one phrase have a covariance; a single phrase has no covariance.
         let two = reference.measure(&motions(&held_out, 2));
         assert_eq!((two.diversity, two.frechet_held_out), (None, None));
         assert_eq!(two.same_phrase_diversity, Some(0.0));
@@ -325,7 +328,7 @@ mod tests {
             panic!("{:?}", phase.value)
         };
         assert!((high - expected).abs() < 1e-12);
-        // In the profile `ccmotion` the line stands in one report of four.
+        // In the profile `ccmotion`, one of four reports has the line.
         for profile in [&measures.ccmotion, &measures.strict] {
             let finite = profile.check("finite").unwrap();
             assert_eq!(finite.pass_rate, 0.75);

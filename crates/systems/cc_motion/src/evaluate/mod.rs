@@ -1,4 +1,4 @@
-//! Metrics of a trained model's samples, next to those of real phrases.
+//! Metrics of a trained model's samples and of real phrases.
 
 mod audio_ablation;
 mod measures;
@@ -28,10 +28,10 @@ pub use measures::{CheckRate, Measures, ProfileRates};
 pub use movement::MovementSpread;
 pub use terms::LossTerm;
 
-/// Bytes of memory for a frame of a sample: raw and post-processed motion, and their derivatives.
+/// Bytes of memory per frame of a sample: raw and post-processed motion, and their derivatives.
 const BYTES_PER_FRAME: u64 = 800;
 
-/// Hint of the error if the samples of a phrase do not fit into memory.
+/// Hint of the error for samples of a phrase that do not fit into memory.
 const BATCH_HINT: &str =
     "choose fewer `evaluation.seeds`: the samples of a phrase are generated at a time";
 
@@ -124,7 +124,7 @@ pub(super) fn prepare<'a>(
 }
 
 /// Generates samples for each held-out phrase and compares them with the held-out and the training
-/// phrases. Sample k of a phrase depends on the seed, the phrase's id and k alone, as in `kinegrad
+/// phrases. Sample k of a phrase depends only on the seed, the phrase's id and k, as in `kinegrad
 /// sample`. Each process generates the samples of some phrases.
 pub(super) fn evaluate(
     generator: &Generator,

@@ -7,14 +7,14 @@ use serde::Serialize;
 /// A measure of the movement over a set of motions.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct MovementSpread {
-    /// Its name.
+    /// Name of the measure.
     pub name: &'static str,
-    /// Its title in tables.
+    /// Title in tables.
     #[serde(skip)]
     pub title: &'static str,
-    /// Its unit.
+    /// Unit of the measure.
     pub unit: &'static str,
-    /// Median over the motions; like the percentiles none if no motion has a finite value.
+    /// Median over the motions; median and percentiles are `None` if no motion has a finite value.
     pub median: Option<f64>,
     /// 1st percentile.
     pub p1: Option<f64>,
@@ -63,7 +63,7 @@ mod tests {
         };
         let before = jerk(&motions);
         for motion in &mut motions {
-            // A zigzag of one centimetre under the channels of a smooth path.
+            // A zigzag of one centimeter below the channels of a smooth path.
             for t in (0..60).step_by(2) {
                 let [x, y, z] = motion.vector(t, POSITION);
                 motion.set_vector(t, POSITION, [x + 0.01, y, z]);

@@ -41,8 +41,8 @@ impl EvaluationReport {
 }
 
 impl Metrics for Measures {
-    /// Every number by its path in the JSON; one that is not finite counts as missing. Tables show
-    /// the share of phrases that pass a check, and its mean value.
+    /// Every number by its path in the JSON; numbers that are not finite count as missing. Tables
+    /// show a check's pass rate and mean value.
     fn rows(&self) -> Vec<Number> {
         let mut rows = Vec::new();
         let mut add = |name: &str, title: &str, decimals, value: Option<f64>| {

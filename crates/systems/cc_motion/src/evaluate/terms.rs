@@ -1,4 +1,4 @@
-//! The losses of end-to-end fine-tuning as measures: the rows of CC-MotionGen's table 7.5.
+//! The losses of end-to-end fine-tuning as measures, as in CC-MotionGen's table 7.5.
 
 use std::sync::Arc;
 
@@ -15,16 +15,16 @@ use super::super::losses::{ReconstructionLoss, SignMatching, TemporalLossConfig,
 pub struct LossTerm {
     /// Name of the loss.
     pub name: &'static str,
-    /// Its mean over the motions.
+    /// Mean of the loss over the motions.
     pub value: f64,
 }
 
-/// CC-MotionGen's temporal terms, with its weights and normalisers, and the mean squared error of
-/// position (m^2) and quaternion (up to sign) against the held-out phrase; means over `motions`, a
-/// list for each of `held_out`.
+/// CC-MotionGen's temporal terms, with its weights and normalizers, and the mean squared errors of
+/// position (m^2) and quaternion (up to sign) from the held-out phrase. All are means over
+/// `motions`, one list per phrase of `held_out`.
 ///
-/// A sample from noise shares the audio condition alone with its phrase: its squared error is about
-/// twice the variance of real motion, and that of the mean motion half as much.
+/// A sample from noise shares only the audio condition with its phrase. The sample's squared error
+/// is about twice the variance of real motion; the mean motion's squared error is half as large.
 pub(super) fn loss_terms(motions: &[Vec<Phrase>], held_out: &[Arc<PhraseItem>]) -> Vec<LossTerm> {
     let config = TemporalLossConfig::ccmotion();
     let count = motions.iter().map(Vec::len).sum::<usize>() as f64;

@@ -1,7 +1,7 @@
-//! Losses on decoded motion, in physical units: metres, seconds and radians.
+//! Losses on decoded motion, in physical units: meters, seconds and radians.
 //!
 //! Motion is `[batch, 25, time]`, the mask `[batch, time]` with 1 in real frames and 0 in padding.
-//! Means are over real frames; the sums run over time, then channels, then the batch, so that a
+//! Means are over real frames. Sums run over time, then channels, then the batch, so that a
 //! repeated step gives the same bits.
 
 pub mod reconstruction;
@@ -12,7 +12,7 @@ use burn::tensor::Tensor;
 pub use reconstruction::{ReconstructionLoss, SignMatching};
 pub use temporal::{PhaseLoss, TemporalLossConfig, temporal_losses};
 
-/// `[batch, 1, 1]`, the sums of `values [batch, channels, time]` over the `mask [batch, 1, time]`.
+/// Sums of `values [batch, channels, time]` over the `mask [batch, 1, time]`: `[batch, 1, 1]`.
 fn sum_frames(values: Tensor<3>, mask: &Tensor<3>) -> Tensor<3> {
     (values * mask.clone()).sum_dim(2).sum_dim(1)
 }

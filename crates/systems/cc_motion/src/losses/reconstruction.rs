@@ -15,7 +15,7 @@ use crate::network::rotation::hemisphere;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SignMatching {
-    /// The nearer one of q and -q counts.
+    /// Uses the nearer of q and -q.
     #[default]
     Nearer,
     /// As stored (CC-MotionGen): q and -q differ.
@@ -32,8 +32,8 @@ pub struct ReconstructionLoss {
 }
 
 impl ReconstructionLoss {
-    /// Compares `decoded` with `target`. `weights`, one per sample, scale the errors in the mean, not
-    /// the count: weight 0 is for samples without signal of the ground truth.
+    /// Compares `decoded` with `target`. `weights`, one per sample, scale the errors in the mean
+    /// but not the count. Weight 0 is for samples without signal of the ground truth.
     ///
     /// # Shapes
     /// - decoded, target: `[batch, 25, time]`, physical units
@@ -61,8 +61,8 @@ impl ReconstructionLoss {
     }
 }
 
-/// The mean over all channels of the squared error in units of each channel's deviation, the
-/// quaternion up to its sign: the loss of recipe `decoder`.
+/// The mean over all channels of the squared error in units of each channel's standard deviation,
+/// with the quaternion up to sign. This is the loss of recipe `decoder`.
 ///
 /// # Shapes
 /// - decoded, target: `[batch, 25, time]`, physical units
@@ -84,8 +84,8 @@ pub fn normalized_error(
     )
 }
 
-/// `target` with each phase moved by whole bars to the one nearest to that of `decoded`: 0.99 and 0.01
-/// differ by 0.02.
+/// `target` with each phase moved by whole bars as near as possible to the phase of `decoded`: 0.99
+/// and 0.01 differ by 0.02.
 pub fn with_nearer_phase(target: &Tensor<3>, decoded: &Tensor<3>) -> Tensor<3> {
     let phase = |x: &Tensor<3>| x.clone().without_autodiff().narrow(1, PHASE, 1);
     let reference = phase(target);
@@ -100,7 +100,7 @@ fn with(x: &Tensor<3>, channels: Range<usize>, values: Tensor<3>) -> Tensor<3> {
     Tensor::cat(vec![before, values, after], 1)
 }
 
-/// `target` with the sign of each quaternion that is nearer to that of `decoded`.
+/// `target` with the sign of each quaternion that is nearer to the quaternion of `decoded`.
 fn with_nearer_sign(target: &Tensor<3>, decoded: &Tensor<3>) -> Tensor<3> {
     let quaternion = |x: &Tensor<3>| x.clone().without_autodiff().slice(s![.., QUATERNION]);
     let reference = quaternion(target);

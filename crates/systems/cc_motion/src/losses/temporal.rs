@@ -1,8 +1,8 @@
-//! Temporal coherence: explicit derivatives agree with the differences of what they derive from,
-//! and nothing jumps (CC-MotionGen, section 7.2; docs/sources.md, section 1.7).
+//! Temporal coherence: explicit derivatives agree with finite differences, and motion has no jumps
+//! (CC-MotionGen, section 7.2; docs/sources.md, section 1.7).
 //!
-//! With `d x[t] = x[t+1] - x[t]` and fps = 30, each term a mean over frames (and components), times
-//! its weight:
+//! With `d x[t] = x[t+1] - x[t]` and fps = 30, each term is a mean over frames (and components),
+//! times its weight:
 //!
 //! ```text
 //! jerk                 |fps d a|^2 / target_jerk^2
@@ -15,8 +15,9 @@
 //! position_smoothness  |fps^3 d d d p|^2 / target_jerk^2
 //! ```
 //!
-//! The last three are not CC-MotionGen's. It squares the root of the squared jerk, whose gradient is
-//! NaN where two accelerations are equal; here the squares are summed directly, to the same value.
+//! The last three terms are not in CC-MotionGen. CC-MotionGen squares the root of the squared jerk,
+//! with a NaN gradient for equal accelerations. This module sums the squares directly, with the
+//! same value.
 
 use burn::tensor::activation::relu;
 use burn::tensor::{Bool, Tensor};
@@ -32,17 +33,17 @@ use crate::network::rotation::angular_velocity;
 #[cfg(test)]
 mod tests;
 
-/// A drop of the phase by more than this is the wrap from the end of a bar to its beginning.
+/// A larger drop of the phase is the wrap from the end of a bar to the beginning of the next bar.
 const WRAP: f64 = 0.5;
 
 /// The phase drops that count.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PhaseLoss {
-    /// Steps backwards: `max(0, -d)` where `d >= -0.5`. Larger drops are wraps, which are legal.
+    /// Backward steps: `max(0, -d)` where `d >= -0.5`. Larger drops are wraps, which are valid.
     #[default]
     BackwardSteps,
-    /// CC-MotionGen's `max(0, -d - 0.5)`, which punishes the wraps and forgives steps backwards.
+    /// CC-MotionGen's `max(0, -d - 0.5)`, which penalizes wraps and ignores backward steps.
     Ccmotion,
 }
 
@@ -60,11 +61,11 @@ pub struct TemporalLossConfig {
     pub quat_delta_weight: f64,
     /// Weight of `phase_monotonic`.
     pub phase_monotonic_weight: f64,
-    /// Weight of `quat_norm`; a decoder that normalises its quaternions does not need it.
+    /// Weight of `quat_norm`; a decoder that normalizes its quaternions does not need this term.
     pub quat_norm_weight: f64,
     /// Weight of `angular_velocity`.
     pub angular_velocity_weight: f64,
-    /// Weight of `position_smoothness`; it punishes real motion too.
+    /// Weight of `position_smoothness`; the term also penalizes real motion.
     pub position_smoothness_weight: f64,
     /// Metres per second cubed.
     pub target_jerk: f64,
@@ -72,7 +73,7 @@ pub struct TemporalLossConfig {
     pub target_vel_coherence: f64,
     /// Metres per second squared.
     pub target_accel_coherence: f64,
-    /// Dot product of neighbouring quaternions above which nothing is punished.
+    /// Dot product of consecutive quaternions above which there is no penalty.
     pub target_quat_delta: f64,
     /// Radians per second.
     pub target_angular_velocity: f64,
@@ -87,8 +88,8 @@ impl Default for TemporalLossConfig {
             acceleration_weight: 5.0,
             jerk_weight: 1.0,
             quat_delta_weight: 2.0,
-            // A sum over time, not a mean: at weight 1 it outweighs all else for phases with jitter,
-            // and the model learns a constant phase.
+            // The term is a sum over time, not a mean. At weight 1, the term outweighs all others
+            // for phases with jitter, and the model learns a constant phase.
             phase_monotonic_weight: 0.001,
             quat_norm_weight: 0.0,
             angular_velocity_weight: 0.01,
@@ -115,7 +116,8 @@ impl TemporalLossConfig {
     }
 }
 
-/// The weighted terms of `decoded` by name. Terms of weight 0 are left out, and all for one frame.
+/// The weighted terms of `decoded` by name. Terms of weight 0 are omitted; motion of one frame has
+/// no terms.
 ///
 /// # Shapes
 /// - decoded: `[batch, 25, time]`, physical units
@@ -194,7 +196,7 @@ pub fn temporal_losses(
     terms
 }
 
-/// All frames but the last, and all but the first.
+/// All frames except the last, and all frames except the first.
 fn ends(x: Tensor<3>) -> (Tensor<3>, Tensor<3>) {
     let time = x.dims()[2];
     (x.clone().narrow(2, 0, time - 1), x.narrow(2, 1, time - 1))

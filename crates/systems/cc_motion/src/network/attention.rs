@@ -11,8 +11,8 @@ use kinegrad_models::rotary::rotate;
 /// Self-attention with a residual, then cross-attention to the context with a residual
 /// (CC-MotionGen, section 3.1.4; docs/sources.md, section 1.5).
 ///
-/// Attention is over all frames of the context, whatever the level's length. Their order does not
-/// matter, except [`with_positions`](Self::with_positions).
+/// Attention is over all frames of the context, for any length of the level. The order of frames
+/// matters only [`with_positions`](Self::with_positions).
 #[derive(Module, Debug)]
 pub struct AttentionBlock {
     norm: GroupNorm,
@@ -27,8 +27,8 @@ pub struct AttentionBlock {
 }
 
 impl AttentionBlock {
-    /// A block of `channels` with `num_heads` heads of `channels / num_heads` each; without a
-    /// `context_dim` it has no cross-attention.
+    /// A block of `channels` with `num_heads` heads of `channels / num_heads` channels. Without
+    /// `context_dim`, the block has no cross-attention.
     pub fn new(
         channels: usize,
         num_heads: usize,
@@ -51,8 +51,9 @@ impl AttentionBlock {
         }
     }
 
-    /// Sets whether queries and keys of the cross-attention have [rotary positions](rotate). The
-    /// context then has the level's own frames, and heads an even number of channels.
+    /// Enables or disables [rotary positions](rotate) for queries and keys of the cross-attention.
+    /// With positions, the context must have the level's frames, and heads an even number of
+    /// channels.
     #[must_use]
     pub fn with_positions(self, positions: bool) -> Self {
         Self { positions, ..self }
@@ -60,9 +61,8 @@ impl AttentionBlock {
 
     /// # Shapes
     /// - x, output: `[batch, channels, time]`
-    /// - context: `[batch, context_dim, context_time]`; without it only self-attention runs
-    /// - lengths: frames of each sample that are not padding, of motion and context alike; padding
-    ///   is not attended to
+    /// - context: `[batch, context_dim, context_time]`; `None` skips the cross-attention
+    /// - lengths: real frames of each sample, for motion and context; attention ignores padding
     pub fn forward(
         &self,
         x: Tensor<3>,

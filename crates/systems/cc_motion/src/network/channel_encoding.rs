@@ -1,4 +1,5 @@
-//! [`ChannelEncoding::decode`] on tensors, with gradients: from predicted channels to the 25.
+//! [`ChannelEncoding::decode`] on tensors, with gradients: decodes predicted channels to the 25
+//! channels.
 
 use std::f64::consts::TAU;
 
@@ -9,12 +10,12 @@ use kinegrad_motion::{ChannelEncoding, OrientationEncoding, PhaseEncoding};
 
 use crate::network::rotation::hemisphere;
 
-/// Square of the radius below which the gradient of an angle does not grow any more.
+/// Square of the radius below which the gradient of an angle stops growing.
 const LEAST_RADIUS_SQUARE: f64 = 1e-4;
 
-/// The 25 channels of predicted motion: a phase in [0, 1), whose gradient knows no wrap, and unit
-/// quaternions without changes of sign. Gradients are finite everywhere; signs, wraps and the
-/// choice of a formula are constants to them.
+/// The 25 channels of predicted motion: a phase in [0, 1) with a gradient without wraps, and unit
+/// quaternions without changes of sign. Gradients are finite everywhere, and treat signs, wraps and
+/// the choice of a formula as constants.
 ///
 /// # Shapes
 /// - x: `[batch, channels, time]`, the channels of `targets` in physical units
@@ -45,8 +46,8 @@ pub fn decode(targets: ChannelEncoding, x: Tensor<3>) -> Tensor<3> {
     )
 }
 
-/// The turns from 0 to 1, `[batch, 1, time]`, of pairs of sine and cosine of an angle and its
-/// multiples, `[batch, 2 multiples, time]`, as [`ChannelEncoding::decode`] has it.
+/// The angle in turns from 0 to 1, `[batch, 1, time]`, from sines and cosines of the angle and its
+/// multiples, `[batch, 2 multiples, time]`, as in [`ChannelEncoding::decode`].
 fn turns_of(pairs: Tensor<3>) -> Tensor<3> {
     let multiples = pairs.dims()[1] / 2;
     let first = turns(pairs.clone().narrow(1, 0, 2));
@@ -80,21 +81,23 @@ pub(crate) fn turns(circle: Tensor<3>) -> Tensor<3> {
     // Just below a whole turn rounds to it.
     let whole = wrapped.clone().greater_equal_elem(1.0);
     let wrapped = wrapped.mask_fill(whole, 0.0);
-    // The gradient of atan2, NaN at zero, is (c ds - s dc) / r^2: a term that is 0 here has it.
+    // The gradient of atan2, NaN at zero, is (c ds - s dc) / r^2: a term with value 0 adds this
+    // gradient.
     let square = (s0.clone().square() + c0.clone().square()).clamp_min(LEAST_RADIUS_SQUARE);
     let around = component(&circle, 0) * c0 - component(&circle, 1) * s0;
     around / square / TAU + wrapped
 }
 
-/// Divided by its Euclidean norm over the channels; what is nearly zero, by a small number.
+/// `x` divided by its Euclidean norm over the channels; values near zero are divided by a small
+/// number.
 fn unit(x: Tensor<3>) -> Tensor<3> {
     let square = x.clone().square().sum_dim(1);
     x / square.clamp_min(LEAST_SQUARE).sqrt()
 }
 
-/// The unit quaternions `[batch, 4, time]`, of any sign, of rotations whose matrices have the
-/// orthonormal columns that are nearest to the first two columns `[batch, 6, time]`, as
-/// [`nearest_rotation`](kinegrad_motion::channel_encoding::nearest_rotation) has them.
+/// Unit quaternions `[batch, 4, time]`, of any sign, for the first two matrix columns `[batch, 6,
+/// time]`. The rotations' orthonormal columns are nearest to the given columns, as in
+/// [`nearest_rotation`](kinegrad_motion::channel_encoding::nearest_rotation).
 fn nearest_rotations(columns: Tensor<3>) -> Tensor<3> {
     let parts = |x: &Tensor<3>| [0, 1, 2].map(|index| x.clone().narrow(1, index, 1));
     let cross = |p: &Tensor<3>, q: &Tensor<3>, r: &Tensor<3>, s: &Tensor<3>| {
@@ -120,7 +123,8 @@ fn nearest_rotations(columns: Tensor<3>) -> Tensor<3> {
     let (a, b) = (parts(&first), parts(&second));
     let [cx, cy, cz] = normal(&a, &b);
     let ([ax, ay, az], [bx, by, bz]) = (a, b);
-    // The matrix 4 q q^T: its row of the largest diagonal, which is 1 or more, is q, scaled.
+    // In the matrix 4 q q^T, the row with the largest diagonal element (at least 1) is a multiple
+    // of q.
     let (wx, wy, wz) = (
         bz.clone() - cy.clone(),
         cx.clone() - az.clone(),
@@ -152,14 +156,14 @@ fn nearest_rotations(columns: Tensor<3>) -> Tensor<3> {
 }
 
 /// Negates unit quaternions `[batch, 4, time]` so that the first has `w >= 0` and each lies in the
-/// hemisphere of the one before. The signs are constants to the gradient.
+/// hemisphere of its predecessor. The gradient treats the signs as constants.
 fn canonical_signs(quaternion: Tensor<3>) -> Tensor<3> {
     let first = quaternion.clone().without_autodiff().narrow(2, 0, 1);
     sign_continuous(quaternion * hemisphere(first.narrow(1, 0, 1)))
 }
 
-/// Negates quaternions `[batch, 4, time]` so that each lies in the hemisphere of the one before.
-/// The signs are constants to the gradient.
+/// Negates quaternions `[batch, 4, time]` so that each lies in the hemisphere of its predecessor.
+/// The gradient treats the signs as constants.
 pub(crate) fn sign_continuous(quaternion: Tensor<3>) -> Tensor<3> {
     let time = quaternion.dims()[2];
     if time < 2 {

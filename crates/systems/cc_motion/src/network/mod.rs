@@ -15,12 +15,12 @@ pub use unet1d::{
     StyleConditioning, UNet1d, UNet1dConfig, beat_labels,
 };
 
-/// The denoiser, whose samples are latents, and their decoder: parameters `unet.*` and `decoder.*`
-/// (CC-MotionGen, section 7.1; docs/sources.md, section 1.8).
+/// The denoiser, which samples latents, and the latents' decoder: parameters `unet.*` and
+/// `decoder.*` (CC-MotionGen, section 7.1; docs/sources.md, section 1.8).
 #[derive(Module, Debug)]
 pub struct MotionModel {
     /// Generates latents.
     pub unet: UNet1d,
-    /// Decodes them.
+    /// Decodes latents.
     pub decoder: MotionDecoder,
 }

@@ -3,15 +3,17 @@
 use burn::tensor::Tensor;
 use kinegrad_motion::phrase::FPS;
 
-/// Added under the root of the rotation's sine, whose gradient at zero is infinite.
+/// Added under the square root in the rotation's sine, because the square root's gradient at zero
+/// is infinite.
 const ROOT_EPS: f64 = 1e-12;
 
-/// -1 where `x` is negative, else 1; a constant to the gradient. Unlike the sign, never 0.
+/// -1 where `x` is negative, else 1; unlike the sign, never 0. The gradient treats the value as a
+/// constant.
 pub fn hemisphere(x: Tensor<3>) -> Tensor<3> {
     x.lower_elem(0.0).float() * -2.0 + 1.0
 }
 
-/// Sine and cosine `[batch, 2, time]` of an angle to which another one is added.
+/// Sine and cosine `[batch, 2, time]` of the sum of two angles.
 pub(crate) fn add_angle(angle: Tensor<3>, sine: Tensor<3>, cosine: Tensor<3>) -> Tensor<3> {
     let [s, c] = [0, 1].map(|row| angle.clone().narrow(1, row, 1));
     let sin = s.clone() * cosine.clone() + c.clone() * sine.clone();
@@ -47,8 +49,8 @@ pub fn step(rates: Tensor<3>) -> Tensor<3> {
     Tensor::cat(vec![angle.cos(), sine], 1)
 }
 
-/// The integrals of angular velocities from no rotation at the first frame: at frame `t` the product
-/// of `exp(w[s] / fps)` over the frames `s` before it. Unit quaternions.
+/// The integrals of angular velocities, starting with the identity at the first frame: frame `t`
+/// has the product of `exp(w[s] / fps)` over all earlier frames `s`. Unit quaternions.
 ///
 /// # Shapes
 /// - rates: `[batch, 3, time]`, radians per second in the world frame
@@ -64,7 +66,7 @@ pub fn turned(rates: Tensor<3>) -> Tensor<3> {
         1,
     );
     let mut all = Tensor::cat(vec![none, steps], 2).narrow(2, 0, time);
-    // Products over twice as many frames each time.
+    // Each iteration doubles the number of frames per product.
     let mut reach = 1;
     while reach < time {
         let before = all.clone().narrow(2, 0, time - reach);
@@ -75,9 +77,8 @@ pub fn turned(rates: Tensor<3>) -> Tensor<3> {
     all
 }
 
-/// The rotation vector of `q[t+1] q[t]*` times fps, in the world frame, whatever the signs and
-/// norms, in radians per second. Finite and with a finite gradient for equal and for antipodal
-/// quaternions.
+/// The rotation vector of `q[t+1] q[t]*` times fps, in the world frame, in radians per second, for
+/// any signs and norms. Value and gradient are finite for equal and antipodal quaternions.
 ///
 /// # Shapes
 /// - q: `[batch, 4, time]`, at least two frames
@@ -88,7 +89,7 @@ pub fn angular_velocity(q: Tensor<3>) -> Tensor<3> {
     let turn = product(next, conjugate(now));
     let (w, vector) = (turn.clone().narrow(1, 0, 1), turn.narrow(1, 1, 3));
 
-    // Of the two quaternions of a rotation, the one that turns by at most half a turn.
+    // Chooses the sign of the quaternion with a rotation of at most half a turn.
     let sign = hemisphere(w.clone());
     let sine = (vector.clone().square().sum_dim(1) + ROOT_EPS).sqrt();
     let angle = sine.clone().atan2(w.abs()) * 2.0;

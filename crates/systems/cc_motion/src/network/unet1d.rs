@@ -33,12 +33,12 @@ pub use config::UNet1dConfig;
 pub use style::{STYLE_VALUES, StyleCondition, StyleConditioning};
 
 impl UNet1dConfig {
-    /// Builds the network for motion of `in_channels` under conditions of `cond_channels` per frame,
-    /// with lazy parameters. Where beats are tracked, the last [`BEAT_CHANNELS`] conditions are
-    /// their labels.
+    /// Builds the network for motion of `in_channels` with `cond_channels` conditions per frame,
+    /// with lazy parameters. If beats are tracked, the last [`BEAT_CHANNELS`] conditions are the
+    /// beat labels.
     ///
     /// # Errors
-    /// As [`validate`](Self::validate), and where beats are tracked without labels.
+    /// As [`validate`](Self::validate); also if beats are tracked without labels.
     pub fn init(
         &self,
         in_channels: usize,
@@ -62,7 +62,7 @@ impl UNet1dConfig {
     }
 }
 
-/// One level of the encoder: residual blocks, attention, the skip, then halving the length.
+/// One level of the encoder: residual blocks, attention, skip connection, then downsampling by 2.
 #[derive(Module, Debug)]
 struct EncoderLevel {
     res: Vec<ResBlock>,
@@ -80,21 +80,21 @@ struct Bottleneck {
     res2: ResBlock,
 }
 
-/// One level of the decoder: the skip joined, residual blocks, attention, then doubling.
+/// One level of the decoder: skip connection, residual blocks, attention, then upsampling by 2.
 #[derive(Module, Debug)]
 struct DecoderLevel {
     res: Vec<ResBlock>,
     attn: Option<AttentionBlock>,
     up: Option<Conv1d>,
-    /// Adds the audio context of this level to what comes from the coarser one.
+    /// Adds the audio context of this level to the output of the coarser level.
     audio: Option<Conv1d>,
 }
 
 /// The denoiser. Should be created with [`UNet1dConfig::init`].
 ///
 /// Decoder level `i` of the module tree is level `i` of CC-MotionGen's figure, so the forward pass
-/// runs them backwards. As in the figure, an inner decoder level has one residual block and attention; the
-/// coarsest and the finest have two residual blocks and none.
+/// runs decoder levels in reverse. As in the figure, an inner decoder level has one residual block
+/// and attention. The coarsest and the finest level have two residual blocks and no attention.
 #[derive(Module, Debug)]
 pub struct UNet1d {
     time_embed: TimeEmbedding,
@@ -182,7 +182,7 @@ impl Builder<'_> {
         let init = self.init.at("dec").at(&level.to_string());
         let coarsest = channels.len() - 1;
         let attends = level != coarsest && self.config.attention_levels().contains(&level);
-        // The output of a level has the width of the next finer one.
+        // The output of a level has the width of the next finer level.
         let inputs = 2 * channels[level];
         let width = channels[level.saturating_sub(1)];
         let blocks = if attends { 1 } else { 2 };
@@ -231,13 +231,13 @@ impl Builder<'_> {
 }
 
 impl UNet1d {
-    /// Predicts the network's target (noise, sample or velocity, as it was trained) for noisy
-    /// motion. Any length of at least one frame is allowed.
+    /// Predicts the network's target (noise, sample or velocity, as in training) for noisy motion.
+    /// Any length of at least one frame is allowed.
     ///
     /// # Shapes
     /// - x_t, output: `[batch, in_channels, time]`
     /// - time: one per sample, in timesteps
-    /// - cond: `[batch, cond_channels, time]`, with the clips' lengths where some are padded
+    /// - cond: `[batch, cond_channels, time]`, with the clips' lengths if some clips are padded
     pub fn forward(
         &self,
         x_t: Tensor<3>,
@@ -248,10 +248,10 @@ impl UNet1d {
         self.forward_stages(x_t, time, cond, dropout, &mut ())
     }
 
-    /// [`forward`](Self::forward), with the output of each stage: `time_emb [batch, time_embed_dim]`
-    /// with the style in it, `audio_ctx` (`audio_ctx.i` of each level, where audio is aligned),
-    /// `input_conv`, `enc.i` before its length is halved (the skip), `mid`, and `dec.i` after its
-    /// length is doubled, from the coarsest level to the finest.
+    /// [`forward`](Self::forward), with the output of each stage: `time_emb [batch,
+    /// time_embed_dim]` including the style, `audio_ctx` (with aligned audio, `audio_ctx.i` for
+    /// each level), `input_conv`, `enc.i` before downsampling (the skip connection), `mid`, and
+    /// `dec.i` after upsampling, from the coarsest level to the finest.
     pub fn forward_stages(
         &self,
         x_t: Tensor<3>,
@@ -319,15 +319,15 @@ impl UNet1d {
         output_conv.lengths(audio.lengths(0).cloned()).forward(h)
     }
 
-    /// Sine and cosine of the place of each frame in its beat by the network's tracker, in all features
-    /// but the last [`BEAT_CHANNELS`]: `[batch, 2, time]`, none without a tracker.
+    /// Sine and cosine of each frame's beat phase, `[batch, 2, time]`, as tracked in all features
+    /// except the last [`BEAT_CHANNELS`]; `None` without a tracker.
     pub fn track_beats(&self, cond: &AudioCondition) -> Option<Tensor<3>> {
         let encoder = self.audio.as_ref()?;
         encoder.track(cond.features.clone(), cond.lengths.as_ref())
     }
 
-    /// Sine and cosine of the place of each frame in its beat, as the rest of the network receives it:
-    /// a constant tempo fitted to the tracked beats, with a norm of one; zeros in silence.
+    /// Sine and cosine of each frame's beat phase as input of the rest of the network: a constant
+    /// tempo fitted to the tracked beats, with a norm of one; zeros in silence.
     pub fn find_beats(&self, cond: &AudioCondition) -> Option<Tensor<3>> {
         let encoder = self.audio.as_ref()?;
         encoder.find(cond.features.clone(), cond.lengths.as_ref())

@@ -5,10 +5,11 @@
 //! L = w_dec |decoder(latent) - motion|^2 / std^2
 //! ```
 //!
-//! There is no temporal term: the decoder sees one frame at a time, so it could only reduce jitter
-//! by reducing motion. It is trained on two latents of each phrase: the phrase with low noise, and a
-//! DDIM sample started from the phrase with high noise (`rollout`), whose error is weighted by the
-//! signal remaining in its start. The denoiser is part of the checkpoint and is not trained.
+//! The loss has no temporal term: the decoder processes one frame at a time, so it could only
+//! reduce jitter by reducing motion. The decoder is trained on two latents of each phrase: the
+//! phrase with low noise, and a DDIM sample started from the phrase with high noise (`rollout`).
+//! The error of the DDIM sample is weighted by the signal remaining in the start. The denoiser is
+//! part of the checkpoint and is not trained.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
@@ -21,7 +22,7 @@ use super::Rollouts;
 use crate::network::MotionModel;
 use crate::{LossConfig, ReconstructionWeighting};
 
-/// The noised latents are at timesteps below this share of all.
+/// Share of timesteps, from 0, for the noised latents.
 const NOISED_SHARE: f64 = 0.05;
 
 /// Trains the decoder of a [`MotionModel`].
@@ -32,7 +33,7 @@ pub struct DecoderRecipe {
 }
 
 impl DecoderRecipe {
-    /// A recipe whose latents are sampled by `rollouts`, validated on `held_out`.
+    /// A recipe with latents sampled by `rollouts`, validated on `held_out`.
     pub fn new(rollouts: Rollouts, loss: &LossConfig, held_out: HeldOut) -> Self {
         Self {
             rollouts,
@@ -41,7 +42,7 @@ impl DecoderRecipe {
         }
     }
 
-    /// The phrases under little noise, at timesteps spread by `place`.
+    /// The phrases with low noise, at timesteps spread by `place`.
     fn noised(
         &self,
         x_start: &Tensor<3>,

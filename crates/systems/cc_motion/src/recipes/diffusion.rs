@@ -4,13 +4,13 @@
 //! L = w(t) E |target - f(x_t, t, cond)|     x_t = sqrt(abar_t) x_start + sqrt(1 - abar_t) noise
 //! ```
 //!
-//! with `t` uniform over the timesteps, the target chosen by `diffusion.prediction_type`, the
-//! distance by `diffusion.loss_type`, and the condition replaced by zeros with probability
-//! `diffusion.cond_drop_prob`, which trains the null condition of classifier-free guidance, and the
-//! style, of a network with one, with probability `diffusion.style_drop_prob`.
+//! `t` is uniform over the timesteps. `diffusion.prediction_type` selects the target,
+//! `diffusion.loss_type` the distance. Zeros replace the condition with probability
+//! `diffusion.cond_drop_prob`, and a style with probability `diffusion.style_drop_prob`, which
+//! trains the null conditions of classifier-free guidance.
 //!
-//! If the network tracks beats (`model.beats`), the squared error of the tracker is added, over
-//! frames with beat labels; the tracker has no other loss. The rest of the network is trained with
+//! If the network tracks beats (`model.beats`), the loss adds the tracker's squared error over
+//! frames with beat labels. The tracker has no other loss. The rest of the network is trained with
 //! the labels (teacher forcing) and sampled with the tracker's beats.
 
 use burn::tensor::{Device, Tensor};
@@ -21,7 +21,7 @@ use kinegrad_train::denoising::{DenoisingRecipe, HeldOut, Inputs, RandomInputs};
 use crate::network::{AudioCondition, UNet1d, beat_labels};
 use crate::style::condition;
 
-/// Trains a [`UNet1d`] to denoise, over `diffusion`, validated on `held_out`.
+/// Trains a [`UNet1d`] to denoise with the process `diffusion`, validated on `held_out`.
 pub fn diffusion_recipe(
     diffusion: GaussianDiffusion,
     held_out: HeldOut,
@@ -29,7 +29,8 @@ pub fn diffusion_recipe(
     DenoisingRecipe::new(diffusion, held_out, denoising_loss)
 }
 
-/// The loss above; for `training` with the weights w(t), the tracker's loss and teacher forcing.
+/// The denoising loss; with `training`, including weights w(t), the tracker's loss and teacher
+/// forcing.
 pub(in super::super) fn denoising_loss(
     diffusion: &GaussianDiffusion,
     unet: &UNet1d,
@@ -81,7 +82,7 @@ fn tracking_loss(unet: &UNet1d, inputs: &Inputs) -> Option<Tensor<1>> {
     Some(sum(error) / (sum(mask) * tracked as f64).clamp_min(1.0))
 }
 
-/// The same loss as in sampling: unweighted and with tracked beats, on held-out phrases.
+/// The unweighted denoising loss with tracked beats, as in sampling, on held-out phrases.
 pub(super) fn denoising_validation_loss(
     diffusion: &GaussianDiffusion,
     unet: &UNet1d,
@@ -109,7 +110,7 @@ mod tests {
     use super::*;
     use kinegrad_train::denoising::Conditions;
 
-    /// A tracker's loss is over frames with beat labels only.
+    /// The tracker's loss covers only frames with beat labels.
     #[test]
     fn masked_unknown_and_padded_beats_have_no_loss() {
         let device = Device::flex();
@@ -133,7 +134,7 @@ mod tests {
             values[at(sample, 9, t)] = angle.sin();
             values[at(sample, 10, t)] = angle.cos();
         }
-        // Unknown, masked by halves, replaced by noise.
+        // Unknown labels, half-masked labels, and labels replaced by noise.
         for t in 2..4 {
             values[at(0, 9, t)] = 0.0;
             values[at(0, 10, t)] = 0.0;

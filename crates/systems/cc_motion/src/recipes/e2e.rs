@@ -11,9 +11,9 @@
 //! L_all    squared error of all components in units of their deviations (not CC-MotionGen's)
 //! ```
 //!
-//! Dropout is off inside the rollout. A rollout starts from the batch's motion under noise
-//! (`rollout.start`), and its reconstruction is weighted by the signal remaining in the start:
-//! a reconstruction loss without that signal would pull all samples towards the mean motion.
+//! Dropout is off inside the rollout. A rollout starts from the batch's noised motion
+//! (`rollout.start`), and the signal remaining in the start weights the reconstruction: without
+//! signal, a reconstruction loss would pull all samples towards the mean motion.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
@@ -41,7 +41,7 @@ pub struct E2eRecipe {
     held_out: HeldOut,
 }
 
-/// The state with which the backward pass of a checkpointed rollout continues.
+/// The state for the backward pass of a checkpointed rollout.
 #[derive(Debug)]
 pub struct PendingRollout {
     trace: Trace,
@@ -62,7 +62,7 @@ pub struct E2eRandomInputs {
 }
 
 impl E2eRecipe {
-    /// A recipe whose rollouts `rollouts` makes, validated on `held_out`.
+    /// A recipe with rollouts by `rollouts`, validated on `held_out`.
     pub fn new(rollouts: Rollouts, loss: &LossConfig, held_out: HeldOut) -> Self {
         Self {
             rollouts,
@@ -198,7 +198,7 @@ impl Recipe for E2eRecipe {
         sum
     }
 
-    /// The same loss without dropout, with start timesteps that cover their range evenly.
+    /// The loss without dropout, with evenly spaced start timesteps.
     fn validation_loss(&self, model: &MotionModel, device: &Device) -> Measured {
         let diffusion = &self.rollouts.rollout.diffusion;
         let phrases = self.held_out.len();

@@ -1,4 +1,4 @@
-//! The sampler in training: from a batch to decoded motion.
+//! The sampler in training: samples latents from a batch.
 
 use std::sync::Arc;
 
@@ -21,15 +21,15 @@ pub struct Rollouts {
     pub(super) config: RolloutConfig,
     pub(super) statistics: Arc<Statistics>,
     pub(super) targets: ChannelEncoding,
-    /// Deviations of the 25 channels, which errors of decoded motion are in units of.
+    /// Standard deviations of the 25 channels, the units of errors of decoded motion.
     pub(super) std: Vec<f64>,
 }
 
 impl Rollouts {
-    /// Rollouts of `diffusion` over motion that was normalised by `statistics`.
+    /// Rollouts of `diffusion` over motion normalized by `statistics`.
     ///
     /// # Errors
-    /// If the range of the training motion is not known.
+    /// If the range of the training motion is unknown.
     pub fn new(
         diffusion: GaussianDiffusion,
         config: &RolloutConfig,
@@ -53,7 +53,8 @@ impl Rollouts {
         })
     }
 
-    /// The same over motion in the channels of `targets`; `stored` are statistics of the 25 channels.
+    /// The same rollouts over motion in the channels of `targets`; `stored` are statistics of the
+    /// 25 channels.
     #[must_use]
     pub fn with_targets(self, targets: ChannelEncoding, stored: &Statistics) -> Self {
         Self {
@@ -63,8 +64,9 @@ impl Rollouts {
         }
     }
 
-    /// Start timesteps of a batch: the last one for rollouts from pure noise, else one from each of
-    /// `batch` equal parts of the configured range, at `place(i)` in [0, 1) of part i.
+    /// Start timesteps of a batch. Rollouts from pure noise start at the last timestep. Otherwise
+    /// the configured range has `batch` equal parts, and part i gives the timestep at its fraction
+    /// `place(i)` in [0, 1).
     pub(super) fn starts(&self, batch: usize, place: impl Fn(usize) -> f64) -> Vec<usize> {
         let last = self.rollout.diffusion.config.num_train_timesteps - 1;
         if self.config.start == RolloutStart::Noise {
@@ -79,13 +81,13 @@ impl Rollouts {
         (0..batch).map(start).collect()
     }
 
-    /// As [`starts`](Self::starts), at timesteps sampled from `key`.
+    /// [`starts`](Self::starts) at timesteps sampled from `key`.
     pub(super) fn sample_starts(&self, batch: usize, key: Key) -> Vec<usize> {
         let places = key.uniforms(batch);
         self.starts(batch, |i| f64::from(places[i]))
     }
 
-    /// The state a rollout starts from.
+    /// The start state of a rollout.
     pub(super) fn start(
         &self,
         x_start: &Tensor<3>,
@@ -136,7 +138,7 @@ impl Rollouts {
         Tensor::from_data(TensorData::new(weights, [starts.len(), 1, 1]), device)
     }
 
-    /// Normalised motion in physical units: `[batch, 25, time]`.
+    /// Converts normalized motion to physical units: `[batch, 25, time]`.
     pub(super) fn physical(&self, x: &Tensor<3>) -> Tensor<3> {
         let of_channels = |values: &[f64]| channels(values, &x.device());
         let std = of_channels(&self.statistics.std);
@@ -146,7 +148,7 @@ impl Rollouts {
         )
     }
 
-    /// The mean squared error of all components in units of their deviations.
+    /// The mean squared error of all components in units of their standard deviations.
     pub(super) fn normalized_error(
         &self,
         decoded: &Tensor<3>,

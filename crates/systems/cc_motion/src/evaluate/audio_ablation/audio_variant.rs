@@ -1,4 +1,4 @@
-//! Audio in the place of a phrase's own music.
+//! Audio that replaces a phrase's own music.
 
 use kinegrad_data::AudioFeatures;
 use kinegrad_random::{Key, Purpose};
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::beat_phrase::BeatPhrase;
 
-/// A kind of audio that samples of a phrase are conditioned on.
+/// A kind of audio condition for samples of a phrase.
 #[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AudioVariant {
@@ -14,18 +14,18 @@ pub enum AudioVariant {
     Own,
     /// Zeros in every feature: the null condition of guidance.
     Silence,
-    /// Its frames in random order.
+    /// The phrase's own music with frames in random order.
     Shuffled,
-    /// Its frames from the last to the first.
+    /// The phrase's own music with reversed frames.
     Reversed,
-    /// Its music half a beat ahead.
+    /// The phrase's own music, half a beat ahead.
     HalfBeat,
     /// A phrase of another song.
     OtherSong,
 }
 
 impl AudioVariant {
-    /// All of them, the own music first.
+    /// All variants, the own music first.
     pub const ALL: [Self; 6] = [
         Self::Own,
         Self::Silence,
@@ -35,7 +35,7 @@ impl AudioVariant {
         Self::OtherSong,
     ];
 
-    /// Its name in files and its heading in tables.
+    /// Name in files and heading in tables.
     pub fn names(self) -> (&'static str, &'static str) {
         match self {
             Self::Own => ("own", "OWN MUSIC"),
@@ -48,17 +48,18 @@ impl AudioVariant {
     }
 }
 
-/// Music that a sample is conditioned on.
+/// Music that conditions a sample.
 #[derive(Clone, Debug)]
 pub(super) struct Music {
-    /// The features, as many frames as the phrase has.
+    /// The features; as many frames as in the phrase.
     pub audio: AudioFeatures,
-    /// Its bar phase and the beats in a bar, where it has beats.
+    /// Bar phases and beats in a bar, if the music has beats.
     pub bars: Option<(Vec<f64>, f64)>,
 }
 
 impl BeatPhrase {
-    /// The music of this phrase's `variant`; another song's is of one of the `donors`, if any.
+    /// The music of this phrase's `variant`; the music of another song comes from one of the
+    /// `donors`, if any.
     pub(super) fn music(
         &self,
         variant: AudioVariant,
@@ -93,7 +94,7 @@ impl BeatPhrase {
         })
     }
 
-    /// One of the `donors` that is of another song, and as long if there is one.
+    /// One of the `donors` with another song, preferably at least as long as this phrase.
     fn donor<'a>(&self, donors: &'a [BeatPhrase], key: Key) -> Option<&'a BeatPhrase> {
         let others: Vec<_> = donors
             .iter()
@@ -106,9 +107,9 @@ impl BeatPhrase {
     }
 }
 
-/// The source frame of each frame, for music half a beat ahead: the one nearest to half a beat later.
-/// Past the end of the phrase, the music continues with that of a bar before, in a shorter phrase of
-/// as few beats before as possible.
+/// The source frame of each frame, for music half a beat ahead: the frame nearest to half a beat
+/// later. Past the end of the phrase, the source is one bar earlier; in a shorter phrase, as few
+/// beats earlier as possible.
 fn half_a_beat_later(beats: &[f64], beats_per_bar: f64) -> Vec<usize> {
     let (first, last) = (beats[0], beats[beats.len() - 1]);
     let nearest = |beat: f64| {
@@ -131,7 +132,8 @@ fn half_a_beat_later(beats: &[f64], beats_per_bar: f64) -> Vec<usize> {
     later.collect()
 }
 
-/// The phrases with other music: the `held_out` ones or, if these are of one song, the training ones.
+/// The phrases with other music: `held_out` phrases, or training phrases if the held-out phrases
+/// have a single song.
 pub(super) fn donors<'a>(
     held_out: &'a [BeatPhrase],
     training: &'a [BeatPhrase],
@@ -153,7 +155,7 @@ mod tests {
 
     use super::*;
 
-    /// A phrase of a song of that many bars a second.
+    /// A phrase of a song with `rate` bars per second.
     fn phrase_of(song: &str, index: usize, frames: usize, rate: f64, beats: u32) -> BeatPhrase {
         let mut phrase = synthetic::phrase(index, frames, 1);
         phrase.id = format!("{song}_{index:05}");
@@ -164,7 +166,7 @@ mod tests {
         BeatPhrase::new(Arc::new(phrase), &Songs::default(), Some(f64::from(beats))).expect("beats")
     }
 
-    /// The frames of `audio` in its own order.
+    /// The frames of `audio`, sorted.
     fn sorted(audio: &AudioFeatures) -> Vec<Vec<u32>> {
         let bits = |t: usize| (0..163).map(|c| audio.channel(c)[t].to_bits()).collect();
         let mut frames: Vec<Vec<u32>> = (0..audio.frames()).map(bits).collect();
@@ -191,7 +193,7 @@ mod tests {
             assert_eq!(of_a_bar, beats);
             let found = phase_error(&bars, &own.bars, beats);
             assert!(found > 0.45, "{found}");
-            // Most frames are simply later ones, in the bar too.
+            // Most frames have a later source frame, also within the bar.
             let half = (0.5 / beats_a_frame).round() as usize;
             let ahead = later
                 .iter()
@@ -232,13 +234,13 @@ mod tests {
         let music = own[0]
             .music(AudioVariant::OtherSong, 0, &with_short)
             .unwrap();
-        // The short one starts again.
+        // The short donor repeats.
         assert_eq!(music.audio.frames(), 50);
         assert_eq!(music.audio.slice(0..40), short.phrase.audio);
         assert_eq!(music.audio.slice(40..50), short.phrase.audio.slice(0..10));
         let (bars, beats_per_bar) = music.bars.unwrap();
         assert_eq!((bars.len(), beats_per_bar), (50, 3.0));
-        // One that is long enough comes first, whatever the seed.
+        // A donor that is long enough takes precedence for every seed.
         let long = phrase_of("c", 3, 60, 0.4, 4);
         let all = [with_short.clone(), vec![long.clone()]].concat();
         for seed in 0..8 {

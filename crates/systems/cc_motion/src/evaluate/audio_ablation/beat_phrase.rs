@@ -9,11 +9,11 @@ use kinegrad_motion::phrase::PHASE;
 use kinegrad_motion::quantiles::percentile;
 use kinegrad_motion::{FPS, Phrase, circular};
 
-/// Beats in a bar if nothing states or shows their number.
+/// Beats in a bar if the number is neither stated nor measured.
 const COMMON_TIME: f64 = 4.0;
 
-/// Largest distance of the measured number of beats in a bar from a whole number, as a share of it.
-/// Tempi are means of a take, and that of a phrase differs a little.
+/// Largest relative distance of the measured number of beats in a bar from a whole number. Tempi
+/// are means over a take, so the tempo of a phrase differs slightly.
 const TOLERANCE: f64 = 0.1;
 
 /// A held-out phrase with beats.
@@ -25,15 +25,15 @@ pub(super) struct BeatPhrase {
     pub song: String,
     /// Beats in a bar.
     pub beats_per_bar: f64,
-    /// Whether that number is a guess.
+    /// True if `beats_per_bar` is a guess.
     pub guessed: bool,
-    /// The bar phase that its music has in each frame.
+    /// The bar phase of the music in each frame.
     pub bars: Vec<f64>,
 }
 
 impl BeatPhrase {
-    /// The phrase with its song's name and tempo. The beats in a bar are those `stated`, else as
-    /// measured, else four. None if its phase advances by less than a beat.
+    /// The phrase with the song's name and tempo. The beats in a bar are `stated`, else measured,
+    /// else four. `None` if the phrase's phase advances by less than a beat.
     pub fn new(phrase: Arc<PhraseItem>, songs: &Songs, stated: Option<f64>) -> Option<Self> {
         let measured = || {
             let tempo = songs.tempo(&phrase.id);
@@ -52,7 +52,7 @@ impl BeatPhrase {
         })
     }
 
-    /// Beats from the first frame to each.
+    /// Number of beats from the first frame to each frame.
     pub fn beats(&self) -> Vec<f64> {
         let steps = phase_steps(&self.phrase.motion);
         let mut beats = vec![0.0];
@@ -62,10 +62,10 @@ impl BeatPhrase {
         beats
     }
 
-    /// Times in seconds of its beats, between two frames in proportion to the beat phase.
+    /// Times of the beats in seconds, interpolated between frames in proportion to the beat phase.
     pub fn beat_times(&self) -> Vec<f64> {
         let first = self.bars[0] * self.beats_per_bar;
-        // A phase that goes back passes a beat once.
+        // A phase that moves backward passes each beat only once.
         let mut furthest = f64::NEG_INFINITY;
         let beats = self.beats().into_iter().map(|beat| {
             furthest = furthest.max(first + beat);
@@ -90,8 +90,8 @@ pub(super) fn bars(motion: &Phrase) -> Vec<f64> {
     (0..motion.frames()).map(phase).collect()
 }
 
-/// The whole number of beats in a bar: the step of the bar phase of `motion` over `beat_step`, in
-/// beats a frame; none if the ratio is not near a whole number.
+/// The whole number of beats in a bar: the ratio of `beat_step`, in beats per frame, and the bar
+/// phase's step in `motion`; `None` if the ratio is not near a whole number.
 fn beats_in_a_bar(motion: &Phrase, beat_step: Option<f64>) -> Option<f64> {
     let steps = phase_steps(motion);
     if steps.is_empty() {
@@ -102,7 +102,7 @@ fn beats_in_a_bar(motion: &Phrase, beat_step: Option<f64>) -> Option<f64> {
     (ratio.is_finite() && whole >= 1.0 && (ratio / whole - 1.0).abs() <= TOLERANCE).then_some(whole)
 }
 
-/// The median advance of the beat phase from frame to frame, by the phrase's beat features.
+/// The median advance of the beat phase per frame in the phrase's beat features.
 fn beat_step(phrase: &PhraseItem) -> Option<f64> {
     if !phrase.audio.layout().beats || phrase.frames() < 2 {
         return None;
@@ -130,7 +130,7 @@ mod tests {
 
     use super::*;
 
-    /// A synthetic phrase whose phase advances by `bars` a second from `start`.
+    /// A synthetic phrase with a phase that starts at `start` and advances by `bars` per second.
     fn with_phase(index: usize, frames: usize, start: f64, bars: f64) -> PhraseItem {
         let mut phrase = synthetic::phrase(index, frames, 1);
         for t in 0..frames {
@@ -146,7 +146,7 @@ mod tests {
 
     #[test]
     fn beats_of_a_bar_are_stated_or_found_in_beat_features_or_four() {
-        // 96 beats a minute are 0.4 bars of four and 0.533 of three a second.
+        // 96 beats per minute are 0.4 bars of four or 0.533 bars of three per second.
         let pulse = Pulse::even(-0.4, 60.0 / 96.0).unwrap();
         for (beats_per_bar, start) in [(3.0, 0.9), (4.0, 0.2)] {
             let mut phrase = with_phase(0, 90, start, 1.6 / beats_per_bar);

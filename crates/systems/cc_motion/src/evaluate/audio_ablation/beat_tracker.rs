@@ -1,4 +1,4 @@
-//! The error of the beat tracker in a network, in music that it was not trained on.
+//! The error of a network's beat tracker in held-out music.
 
 use std::f64::consts::TAU;
 
@@ -8,8 +8,8 @@ use super::BeatPhrase;
 use crate::generate::Generator;
 use crate::network::AudioCondition;
 
-/// Mean distance in beats over the frames of a phrase between the beat phase that the network's
-/// tracker finds and that of the music; none without a tracker.
+/// Mean distance in beats between the tracked beat phase and the music's beat phase, over the
+/// frames of a phrase; `None` without a tracker.
 pub(super) fn error(generator: &Generator, phrase: &BeatPhrase) -> Option<f64> {
     let audio = &phrase.phrase.audio;
     let shape = [1, audio.channels(), audio.frames()];
@@ -19,7 +19,8 @@ pub(super) fn error(generator: &Generator, phrase: &BeatPhrase) -> Option<f64> {
     Some(error_of(&found, &phrase.bars, phrase.beats_per_bar))
 }
 
-/// Mean distance in beats of the angles of `found`, all sines, then all cosines, from those of `bars`.
+/// Mean distance in beats between the angles of `found` (all sines, then all cosines) and of
+/// `bars`.
 fn error_of(found: &[f32], bars: &[f64], beats_per_bar: f64) -> f64 {
     let (sines, cosines) = found.split_at(bars.len());
     let found = sines.iter().zip(cosines);
@@ -39,7 +40,7 @@ mod tests {
     fn the_error_is_the_distance_of_the_found_phase_from_the_beat() {
         for (beats_per_bar, late) in [(3.0, 0.0), (4.0, 0.1), (3.0, -0.4), (4.0, 0.5)] {
             let bars: Vec<f64> = (0..37).map(|t| (0.83 + 0.017 * t as f64) % 1.0).collect();
-            // Angles of any length: a tracker that is not sure finds short ones.
+            // Angles of any norm: an uncertain tracker predicts short vectors.
             let angles = bars.iter().map(|bar| TAU * (bar * beats_per_bar + late));
             let (sines, cosines): (Vec<f32>, Vec<f32>) = angles
                 .map(|angle| ((0.3 * angle.sin()) as f32, (0.3 * angle.cos()) as f32))

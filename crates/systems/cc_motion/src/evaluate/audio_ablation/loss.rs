@@ -8,11 +8,11 @@ use kinegrad_train::denoising::{Conditions, Inputs, RandomInputs};
 use crate::generate::Generator;
 use crate::recipes::denoising_loss;
 
-/// Noise levels that each phrase is denoised at.
+/// Number of noise levels per phrase.
 const LEVELS: usize = 8;
 
-/// The timesteps of high noise, evenly placed in the upper half of `num_train_timesteps`: there the
-/// network depends on its condition most.
+/// The timesteps of high noise, evenly spaced in the upper half of `num_train_timesteps`, in which
+/// the network depends most on its condition.
 pub(super) fn high_noise(num_train_timesteps: usize) -> Vec<usize> {
     let lowest = num_train_timesteps / 2;
     let width = num_train_timesteps - lowest;
@@ -21,9 +21,9 @@ pub(super) fn high_noise(num_train_timesteps: usize) -> Vec<usize> {
         .collect()
 }
 
-/// The validation loss of a phrase's motion conditioned on `audio` of as many frames: not weighted,
-/// with tracked beats, mean over the levels of [`high_noise`]. Noise depends on the phrase's id and
-/// the level alone, so that losses of one phrase differ by the audio.
+/// The validation loss of a phrase's motion conditioned on `audio` of equal length: unweighted,
+/// with tracked beats, mean over the levels of [`high_noise`]. Noise depends only on the phrase's
+/// id and the level, so losses of one phrase differ only by the audio.
 pub(super) fn loss(generator: &Generator, phrase: &PhraseItem, audio: &AudioFeatures) -> f64 {
     let device = &generator.device;
     let timesteps = high_noise(generator.diffusion.config.num_train_timesteps);

@@ -9,10 +9,10 @@ use serde_json::{Value, json};
 use super::audio_variant::AudioVariant;
 use super::scores::{MeasuredCondition, MeasuredPhrase, Score};
 
-/// A metric: its name in files, where a dot separates two levels, its title in tables, and its value.
+/// A metric: name in files (a dot separates two levels), title in tables, and value.
 type Metric<T> = (&'static str, &'static str, fn(&T) -> Option<f64>);
 
-/// Distances between the phases of the samples and those of the phrases' own music.
+/// Distances between the phases of the samples and of the phrases' own music.
 pub(super) const PHASE_ERRORS: [Metric<Score>; 2] = [
     ("beat_phase_error", "beat-phase error, beats", |s| {
         Some(s.beat_phase_error)
@@ -22,7 +22,7 @@ pub(super) const PHASE_ERRORS: [Metric<Score>; 2] = [
     }),
 ];
 
-/// Distances from the phases of the conditioning music, if it has beats.
+/// Distances from the phases of conditioning music with beats.
 const CONDITION_PHASE_ERRORS: [Metric<Score>; 2] = [
     (
         "condition_beat_phase_error",
@@ -36,8 +36,8 @@ const CONDITION_PHASE_ERRORS: [Metric<Score>; 2] = [
     ),
 ];
 
-/// Alignments of moments of the motions with the beats of the phrases' own music: the score, the
-/// score of the same moments moved by random offsets, and the difference, motion by motion.
+/// Alignments of moments of the motions with the beats of the phrases' own music. Each has the
+/// score, the score of the moments moved by random offsets, and the difference per motion.
 pub(super) const ALIGNMENTS: [Metric<Score>; 6] = [
     ("beat_alignment.score", "beat alignment", |s| {
         s.beat_alignment
@@ -67,7 +67,7 @@ pub(super) const ALIGNMENTS: [Metric<Score>; 6] = [
     ),
 ];
 
-/// Metrics of which the values of each phrase with its own music and with other audio are compared.
+/// Metrics for comparing each phrase's values with own music and with other audio.
 const DIFFERENCES: [Metric<MeasuredCondition>; 3] = [
     ("own_minus.loss", "own minus this: loss", |c| Some(c.loss)),
     (
@@ -85,16 +85,16 @@ const DIFFERENCES: [Metric<MeasuredCondition>; 3] = [
 /// The mean of a metric over phrases, with an interval over songs.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Mean {
-    /// Its name in files.
+    /// Name in files.
     pub name: &'static str,
-    /// Its title in tables.
+    /// Title in tables.
     pub title: &'static str,
-    /// None if there is no value, or one is not finite.
+    /// `None` without values, or with a value that is not finite.
     pub estimate: Option<Estimate>,
 }
 
 impl Mean {
-    /// The mean of values of phrases, each with its song.
+    /// The mean of the phrases' values; each value has its song.
     pub fn of<'a>(
         name: &'static str,
         title: &'static str,
@@ -123,7 +123,7 @@ impl Mean {
     }
 }
 
-/// The means by their names, in two levels.
+/// The means by name, in two levels.
 pub(super) fn to_json(means: &[Mean]) -> Value {
     let mut json = json!({});
     for mean in means {
@@ -136,7 +136,7 @@ pub(super) fn to_json(means: &[Mean]) -> Value {
 }
 
 impl Metrics for Mean {
-    /// The mean with its interval for tables, and the mean and both ends for files.
+    /// The mean with its interval for tables; the mean and the interval's ends for files.
     fn rows(&self) -> Vec<Number> {
         let (name, estimate) = (self.name, self.estimate);
         let shown = estimate
@@ -150,7 +150,7 @@ impl Metrics for Mean {
     }
 }
 
-/// The means for every audio variant that a phrase has.
+/// The means for every audio variant of any phrase.
 pub(super) fn means_by_variant(
     measured: &[MeasuredPhrase],
     seed: u64,
@@ -209,8 +209,8 @@ mod tests {
 
     #[test]
     fn differences_are_of_each_phrase_and_means_over_all() {
-        // Three phrases of one song and one of another, with losses that differ more between
-        // phrases than between conditions.
+        // Three phrases of one song and one phrase of another. Losses differ more between phrases
+        // than between conditions.
         let songs = ["a", "a", "a", "b"];
         let measured: Vec<MeasuredPhrase> = songs
             .iter()

@@ -1,5 +1,5 @@
 //! The ablation of audio: loss and samples of a model with the phrases' own music, with silence and
-//! with altered music. The differences show whether it follows the beats.
+//! with altered music. The differences show the model's use of the beats.
 
 mod audio_variant;
 mod beat_phrase;
@@ -31,7 +31,7 @@ use means::{ALIGNMENTS, Mean, PHASE_ERRORS, means_by_variant};
 use report::AblationReport;
 use scores::{MeasuredCondition, MeasuredPhrase, Score};
 
-/// An ablation of audio on the held-out phrases with beats, each cut to the training length.
+/// An ablation of audio on held-out phrases with beats, cut to the training length.
 pub(super) fn prepare<'a>(
     trained: &'a TrainedModel,
     request: &EvaluationRequest,
@@ -92,7 +92,7 @@ pub(super) fn prepare<'a>(
     }))
 }
 
-/// Remarks on an ablation with those of `all` held-out phrases that have beats.
+/// Remarks on an ablation; `held_out` are the phrases with beats among `all` held-out phrases.
 fn remarks(run: &str, report: &AblationReport, held_out: &[BeatPhrase], all: usize) -> Vec<String> {
     let mut remarks = vec![
         "in brackets: 95 % bootstrap intervals (songs, then phrases); chance level of a phase error: \
@@ -132,16 +132,16 @@ struct Ablation<'a> {
     settings: &'a EvaluationConfig,
     /// Held-out phrases with beats, at least one.
     held_out: &'a [BeatPhrase],
-    /// The phrases that another song's music is taken from.
+    /// The phrases that provide another song's music.
     donors: &'a [BeatPhrase],
-    /// All training phrases, for the measures of samples at other guidance scales.
+    /// All training phrases, for measures of samples at other guidance scales.
     training_phrases: &'a [Arc<PhraseItem>],
     request: &'a EvaluationRequest,
 }
 
 impl<'a> Ablation<'a> {
-    /// Computes losses and samples. All audio variants of a phrase have the same noise. Sample k of a
-    /// phrase with its own music equals that of `kinegrad sample`, unless the phrase was cut.
+    /// Computes losses and samples. All audio variants of a phrase have the same noise. Sample k of
+    /// an uncut phrase with own music equals sample k of `kinegrad sample`.
     fn run(&self, on_step: &mut OnStep<'_>) -> Result<AblationReport, Error> {
         let (held_out, seed) = (self.held_out, self.request.seed);
         let group = &self.request.group;
@@ -206,7 +206,7 @@ impl<'a> Ablation<'a> {
         })
     }
 
-    /// Samples with the own music at each of the guidance scales.
+    /// Samples with own music at each guidance scale.
     fn guidance(&self, on_step: &mut OnStep<'_>) -> Result<Vec<(f64, Vec<Mean>, Measures)>, Error> {
         let (held_out, seed) = (self.held_out, self.request.seed);
         let scales = &self.settings.guidance_scales;
@@ -238,7 +238,7 @@ impl<'a> Ablation<'a> {
         Ok(guidance)
     }
 
-    /// The post-processed samples of a phrase, `seeds` for each of the audio conditions.
+    /// The post-processed samples of a phrase, `seeds` samples for each audio condition.
     fn sample(
         &self,
         stage: &'static str,

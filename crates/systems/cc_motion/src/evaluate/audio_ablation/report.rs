@@ -13,13 +13,13 @@ use crate::evaluate::Measures;
 pub(super) struct AblationReport {
     /// Number of songs of the held-out phrases.
     pub songs: usize,
-    /// Error of the network's own beat tracker; its estimate is none without a tracker.
+    /// Error of the network's beat tracker; the estimate is `None` without a tracker.
     pub tracked_beat_error: Mean,
     /// The means for each audio variant.
     pub conditions: Vec<(AudioVariant, Vec<Mean>)>,
     /// Beat alignment of the real phrases.
     pub real: Vec<Mean>,
-    /// Phase errors and measures of samples with the own music at each of the guidance scales.
+    /// Phase errors and measures of samples with own music at each guidance scale.
     pub guidance: Vec<(f64, Vec<Mean>, Measures)>,
     /// The values of each phrase.
     pub measured: Vec<MeasuredPhrase>,
@@ -83,7 +83,8 @@ impl AblationReport {
         with_sampling(json, ablation.sampling())
     }
 
-    /// The numbers of an audio variant, with errors to the conditioning music if it is another's.
+    /// The numbers of an audio variant; for another song, including errors relative to the
+    /// conditioning music.
     fn rows(&self, variant: AudioVariant) -> Vec<Number> {
         let own = variant == AudioVariant::Own;
         let of_variant = self.conditions.iter().find(|(found, _)| *found == variant);
@@ -101,7 +102,7 @@ impl AblationReport {
     }
 }
 
-/// A group for each audio variant and one for the guidance scales.
+/// A group for each audio variant and a group for the guidance scales.
 fn groups(numbers: impl Fn(AudioVariant) -> Vec<Number>, guidance: Vec<Number>) -> Vec<Group> {
     let group = |(key, title), numbers| Group {
         key,

@@ -10,31 +10,32 @@ use serde::{Deserialize, Serialize};
 use super::audio_variant::AudioVariant;
 use super::beat_phrase::{BeatPhrase, bars};
 
-/// Means over the samples of a phrase and one audio variant. Phases are compared in cycles, 0 to 0.5;
-/// NaN if a sample's is not finite.
+/// Means over the samples of a phrase and one audio variant. Distances of phases are in cycles, 0
+/// to 0.5; NaN if a sample's phase is not finite.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct Score {
-    /// Distance of the beat phase from that of the phrase's own music, beats.
+    /// Distance between the beat phases of sample and own music, beats.
     pub beat_phase_error: f64,
     /// The same of the bar phase, bars.
     pub bar_phase_error: f64,
-    /// Distance of the beat phase from that of the conditioning music, beats.
+    /// Distance between the beat phases of sample and conditioning music, beats.
     pub condition_beat_phase_error: Option<f64>,
     /// The same of the bar phase, bars.
     pub condition_bar_phase_error: Option<f64>,
-    /// Alignment of the root's speed minima with the beats of the own music; mean over samples with any.
+    /// Alignment of the root's speed minima with the own music's beats; mean over samples with
+    /// minima.
     pub beat_alignment: Option<f64>,
-    /// The same of minima moved by random offsets.
+    /// Alignment of the minima moved by random offsets.
     pub chance_alignment: Option<f64>,
     /// Alignment of the speed maxima.
     pub peak_alignment: Option<f64>,
-    /// The same of maxima moved by random offsets.
+    /// Alignment of the maxima moved by random offsets.
     pub chance_peak_alignment: Option<f64>,
 }
 
 impl BeatPhrase {
-    /// The score of samples, at least one; `condition` are the bar phases and the beats
-    /// in a bar of the conditioning music, if it has beats.
+    /// The score of at least one sample; `condition` has the bar phases and the beats in a bar of
+    /// conditioning music with beats.
     pub fn score(
         &self,
         samples: &[Phrase],
@@ -83,9 +84,9 @@ pub struct MeasuredPhrase {
     pub id: String,
     /// Its song.
     pub song: String,
-    /// Beats in a bar of it.
+    /// Beats in a bar.
     pub beats_per_bar: f64,
-    /// Error of the beat phase of the network's tracker, beats; none without a tracker.
+    /// Error of the tracked beat phase, beats; `None` without a tracker.
     pub tracked_beat_error: Option<f64>,
     /// The values for each audio variant.
     pub conditions: Vec<MeasuredCondition>,
@@ -119,7 +120,7 @@ mod tests {
 
     use super::*;
 
-    /// A phrase of so many frames that begins late in a bar of `rate` bars a second.
+    /// A phrase of `frames` frames that begins late in a bar, with `rate` bars per second.
     fn phrase_of(id: &str, frames: usize, rate: f64, beats_per_bar: u32) -> BeatPhrase {
         let mut phrase = PhraseItem {
             id: id.to_owned(),
@@ -168,13 +169,13 @@ mod tests {
                 (whole.bar_phase_error - 1.0 / beats).abs() < 1e-6,
                 "{whole:?}"
             );
-            // Another tempo, out of step again and again.
+            // Another tempo, which repeatedly drifts out of phase.
             let other = score(moved(&phrase.phrase.motion, |t| 3.1 * t as f64 / FPS));
             assert!((other.beat_phase_error - 0.25).abs() < 0.04, "{other:?}");
             // Two samples: the mean.
             let both = phrase.score(&[shifted(0.0), shifted(0.5)], None, 0);
             assert!((both.beat_phase_error - 0.25).abs() < 1e-5, "{both:?}");
-            // A sample half a beat ahead follows music that is half a beat ahead.
+            // A sample half a beat ahead follows music half a beat ahead.
             let ahead: Vec<f64> = phrase.bars.iter().map(|bar| bar + 0.5 / beats).collect();
             let conditioned = phrase.score(&[shifted(0.5)], Some(&(ahead, beats)), 0);
             assert!(

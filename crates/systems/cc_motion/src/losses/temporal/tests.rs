@@ -13,7 +13,7 @@ fn value(term: &Tensor<1>) -> f64 {
     f64::from(term.clone().into_scalar::<f32>())
 }
 
-/// Every term, those that are not CC-MotionGen's included.
+/// Every term, including terms that are not in CC-MotionGen.
 fn all_terms() -> TemporalLossConfig {
     TemporalLossConfig {
         quat_norm_weight: 1.0,
@@ -23,7 +23,7 @@ fn all_terms() -> TemporalLossConfig {
     }
 }
 
-/// A motion `[1, 8, 25]` at rest whose quaternions are those given.
+/// A motion `[1, 8, 25]` at rest with the given quaternions.
 fn turning(quaternions: [[f32; 4]; 8]) -> Tensor<3> {
     let mut values = vec![0.0; 8 * 25];
     for (frame, quaternion) in values.chunks_mut(25).zip(quaternions) {
@@ -75,7 +75,7 @@ fn angular_velocity_agrees_with_that_of_the_phrases() {
     let mut values = vec![0.0f32; 8 * 25];
     for (t, frame) in values.chunks_mut(25).enumerate() {
         let q = quaternions[t];
-        // Every second one by its other quaternion: the rotation is the same.
+        // Every second quaternion is negated: the rotation is the same.
         let sign = if t % 2 == 0 { 1.0 } else { -1.0 };
         for (value, part) in frame[9..13].iter_mut().zip([q.w, q.x, q.y, q.z]) {
             *value = (sign * part) as f32;
@@ -105,7 +105,7 @@ fn padding_does_not_count() {
     }
 }
 
-/// No term but the one of these weights.
+/// Only the terms with these weights.
 fn alone(quat_norm_weight: f64, position_smoothness_weight: f64) -> TemporalLossConfig {
     TemporalLossConfig {
         velocity_weight: 0.0,
@@ -116,7 +116,7 @@ fn alone(quat_norm_weight: f64, position_smoothness_weight: f64) -> TemporalLoss
         angular_velocity_weight: 0.0,
         quat_norm_weight,
         position_smoothness_weight,
-        // So large that the jerk of some metres per frame cubed is near 1.
+        // A large target, so that a jerk of some meters per frame cubed is near 1.
         target_jerk: 27_000.0,
         ..TemporalLossConfig::default()
     }
@@ -124,7 +124,7 @@ fn alone(quat_norm_weight: f64, position_smoothness_weight: f64) -> TemporalLoss
 
 const FRAMES: usize = 9;
 
-/// Two samples of [`FRAMES`] frames, whose values are `of(sample, frame, channel)`.
+/// Two samples of [`FRAMES`] frames with values `of(sample, frame, channel)`.
 fn motion(of: impl Fn(usize, usize, usize) -> f64) -> Vec<f32> {
     let mut values = Vec::new();
     for sample in 0..2 {
@@ -135,8 +135,8 @@ fn motion(of: impl Fn(usize, usize, usize) -> f64) -> Vec<f32> {
     values
 }
 
-/// The one term of `config` on two samples, the second of which has so many real frames, and its
-/// gradient.
+/// The single term of `config` on two samples, and its gradient; the second sample has `real` real
+/// frames.
 fn only(values: &[f32], real: usize, config: &TemporalLossConfig) -> (f64, Vec<f32>) {
     let device = Device::flex().autodiff();
     let data = TensorData::new(values.to_vec(), [2, FRAMES, 25]);
@@ -153,7 +153,8 @@ fn only(values: &[f32], real: usize, config: &TemporalLossConfig) -> (f64, Vec<f
     (value(term), gradient)
 }
 
-/// Asserts that the gradient is the slope of the term in each of `channels`, and 0 elsewhere.
+/// Asserts that the gradient equals the slope of the term in each of `channels`, and is 0
+/// elsewhere.
 fn assert_gradient(
     values: &[f32],
     real: usize,
@@ -180,7 +181,7 @@ fn assert_gradient(
     }
 }
 
-/// Positions `c t^3 + d t^2 + e t` in frames, whose third difference is `6 c` whatever the others.
+/// Positions `c t^3 + d t^2 + e t` over frames have the third difference `6 c` for any d and e.
 #[test]
 fn position_smoothness_is_the_squared_third_difference() {
     let cubic = [[1.0, -2.0, 3.0], [0.5, 0.0, -1.0]];
@@ -192,7 +193,7 @@ fn position_smoothness_is_the_squared_third_difference() {
             _ => 7.0 * (t + channel as f64).sin(),
         }
     };
-    // 30 frames a second: 27000 (6 c) metres per second cubed, over the target.
+    // At 30 frames per second: 27000 (6 c) meters per second cubed, divided by the target.
     let of = |sample: usize| -> f64 { cubic[sample].iter().map(|c| (6.0 * c).powi(2)).sum() };
     let weight = 2.5;
     let config = alone(0.0, weight);
@@ -200,16 +201,16 @@ fn position_smoothness_is_the_squared_third_difference() {
     let (found, _) = only(&values, FRAMES, &config);
     let expected = weight * (of(0) + of(1)) / 2.0;
     assert!((found / expected - 1.0).abs() < 1e-6, "{found} {expected}");
-    // Of 7 real frames come 4 third differences, of 9 come 6.
+    // 7 real frames have 4 third differences, 9 frames have 6.
     let (found, _) = only(&values, 7, &config);
     let expected = weight * (6.0 * of(0) + 4.0 * of(1)) / 10.0;
     assert!((found / expected - 1.0).abs() < 1e-6, "{found} {expected}");
 
-    // The term is quadratic: differences of any step are its slopes.
+    // The term is quadratic, so central differences of any step equal its slopes.
     assert_gradient(&values, 7, &config, 0..3, 4.0);
 }
 
-/// Quaternions of one length a sample, in directions that turn.
+/// Quaternions with one norm per sample, in changing directions.
 #[test]
 fn quat_norm_is_the_squared_excess_of_the_squared_length() {
     let lengths = [1.1, 0.6];

@@ -10,11 +10,11 @@ use kinegrad_motion::phrase::{ACCELERATION, POSITION, VELOCITY};
 /// Axes of space.
 const AXES: usize = 3;
 
-/// The three estimates of the trajectory: the channels that a [`Fits`] takes.
+/// The input channels of [`Fits`]: three estimates of the trajectory.
 pub(super) const ESTIMATES: Range<usize> = POSITION.start..ACCELERATION.end;
 
-/// From position, velocity and acceleration of motion of one length, `[9, frames]`, to the
-/// positions of the nearest coherent one, `[3, frames + 2]`.
+/// Maps position, velocity and acceleration of motion of one length, `[9, frames]`, to the
+/// positions of the nearest coherent trajectory, `[3, frames + 2]`.
 #[derive(Debug)]
 pub(super) struct Fits {
     scales: [[f64; 3]; AXES],
@@ -22,7 +22,7 @@ pub(super) struct Fits {
 }
 
 impl Fits {
-    /// The fits of `frames` frames, with the deviations `std` of all channels as scales.
+    /// The fits of `frames` frames, with the standard deviations `std` of all channels as scales.
     pub fn new(frames: usize, std: &[f64]) -> Self {
         let scales = [0, 1, 2].map(|axis| {
             [POSITION, VELOCITY, ACCELERATION].map(|component| std[component.start + axis])
@@ -70,7 +70,7 @@ impl LinearMap for Fits {
         }
     }
 
-    /// One product with a dense matrix for each axis.
+    /// One product with a dense matrix per axis.
     fn composed(&self, x: Tensor<3>) -> Tensor<3> {
         let [batch, _, time] = x.dims();
         let device = x.device();

@@ -17,12 +17,12 @@ pub enum OutputActivation {
     TanhScaled,
     /// `1 / (1 + exp(-y))`.
     Sigmoid,
-    /// Divided by its Euclidean norm over the component's channels.
+    /// Division by the Euclidean norm over the component's channels.
     Normalize,
 }
 
-/// One activation a component. CC-MotionGen's configuration and its code disagree (its sections
-/// 3.3.1 and 3.3.2; docs/sources.md, section 1.6); these are the code's.
+/// One activation per component. CC-MotionGen's configuration and code disagree (sections 3.3.1 and
+/// 3.3.2; docs/sources.md, section 1.6); the defaults are the code's activations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct OutputActivations {
@@ -43,8 +43,8 @@ pub struct OutputActivations {
 }
 
 impl OutputActivations {
-    /// Those of heads that predict `targets`: sine and cosine, and the inputs of the conversion to a
-    /// unit quaternion, are not bounded.
+    /// The activations of heads that predict `targets`. Sine and cosine, and the inputs of the
+    /// conversion to a unit quaternion, are not bounded.
     pub(super) fn of(self, targets: ChannelEncoding) -> Self {
         let mut own = self;
         if targets.phase != PhaseEncoding::Scalar {
@@ -104,15 +104,16 @@ impl Default for OutputRanges {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Coherence {
-    /// The outputs of the heads: only the losses make them consistent (CC-MotionGen's decoder).
+    /// Unchanged outputs of the heads; only the losses make the outputs consistent (CC-MotionGen's
+    /// decoder).
     #[default]
     None,
-    /// The heads' position, velocity and acceleration are replaced by those of the nearest
-    /// trajectory that has all three (least squares), the quaternion keeps its sign from frame to
-    /// frame, and the angular velocity is the derivative of the quaternions.
+    /// Position, velocity and acceleration are replaced by the nearest trajectory in the
+    /// least-squares sense. The quaternion keeps its sign from frame to frame. The angular velocity
+    /// is the derivative of the quaternions.
     Projection,
-    /// As `projection`, and headings, then orientations, are replaced by those nearest to them and to
-    /// the head's angular velocities (least squares) before the derivative is taken.
+    /// Like `projection`; in addition, before the derivative is taken, headings and then
+    /// orientations are fitted by least squares to themselves and to the head's angular velocities.
     Full,
 }
 
@@ -120,10 +121,10 @@ pub enum Coherence {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DecoderInit {
-    /// The inverse of the normalisation, as near as the output activations allow.
+    /// The inverse of the normalization, as near as the output activations allow.
     #[default]
     Identity,
-    /// Uniform, as PyTorch's layers.
+    /// Uniform, as in PyTorch's layers.
     Random,
 }
 
@@ -163,7 +164,7 @@ impl Default for DecoderConfig {
 
 impl DecoderConfig {
     /// # Errors
-    /// Names the key that no decoder can be built from.
+    /// Names the invalid key.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         let least = match self.init {
             DecoderInit::Identity => CHANNELS,
@@ -189,15 +190,15 @@ impl DecoderConfig {
         Ok(())
     }
 
-    /// Numbers that the backward pass keeps of one item of `frames` frames, roughly.
+    /// Approximate number of values kept for the backward pass, per item of `frames` frames.
     pub fn activations(&self, frames: usize) -> u64 {
         // Inside, a block is four times as wide.
         let a_frame = (16 * self.num_layers as u64 + 2) * self.hidden_dim as u64;
         frames as u64 * (a_frame + 8 * CHANNELS as u64)
     }
 
-    /// Numbers computed once for motion of `frames` frames, for any number of items: the banded
-    /// systems of the coherent fits, and their solutions.
+    /// Number of values computed once for motion of `frames` frames, for any number of items: the
+    /// banded systems of the coherent fits, and their solutions.
     pub fn shared(&self, frames: usize) -> u64 {
         let axes = match self.coherence {
             Coherence::None => 0,

@@ -12,17 +12,17 @@ use super::orientation::Smooth;
 use crate::network::channel_encoding::turns;
 use crate::network::rotation::{add_angle, product, step};
 
-/// Below this square a direction is not divided by its length.
+/// Squared length below which a direction is not normalized.
 const LEAST_SQUARE: f64 = 1e-4;
 
-/// Added to squared lengths that are divided by.
+/// Added to squared lengths before division.
 const ROOT_EPS: f64 = 1e-12;
 
-/// Unit quaternions turned about the vertical to the headings nearest to theirs and to the angular
-/// velocities, and angular velocities that turn with them, as
-/// [`fit_heading`](kinegrad_motion::coherence::fit_heading) has them of frames that are all sure. By how
-/// many whole turns the headings are moved is a constant to the gradient. `std` are the training
-/// deviations of the angular velocity.
+/// Fits headings to the given quaternions and angular velocities, as
+/// [`fit_heading`](kinegrad_motion::coherence::fit_heading) with full confidence in all frames.
+/// Returns unit quaternions turned about the vertical to the fitted headings, and angular
+/// velocities turned with them. The gradient treats the whole turns of headings as constants. `std`
+/// are the training standard deviations of the angular velocity.
 ///
 /// # Shapes
 /// - quaternion, first output: `[batch, 4, time]`
@@ -47,7 +47,7 @@ pub(super) fn fitted(
         }
     };
     let rest = turned_by(heading.clone(), along.clone().neg());
-    // Which turns: those of the smoothed direction.
+    // The smoothed direction determines the whole turns.
     let course = linear_map(rest.clone().without_autodiff(), fit.clone());
     let length = (course.clone().square().sum_dim(1) + ROOT_EPS).sqrt();
     let course = course / length;
@@ -56,7 +56,7 @@ pub(super) fn fitted(
     let smoothed = linear_map(unwrapped(places) + nearest(turns(apart)), fit) * TAU;
 
     let turned = along + smoothed;
-    // Upside down the heading and the axis of the tilt may each be anything.
+    // Upside down, the heading and the axis of the tilt are undefined.
     let certainty = (upright(quaternion.clone()) / UPRIGHT).clamp_max(1.0);
     let places = turns(heading);
     let turn = nearest(turned / TAU - places.clone()) * certainty.clone();
@@ -84,20 +84,20 @@ pub(super) fn fitted(
     (quaternion, Tensor::cat(vec![x, y, z], 1))
 }
 
-/// The squared cosine of half the tilt of quaternions of any norm, `[batch, 1, time]`.
+/// The squared cosine of half the tilt, for quaternions of any norm, `[batch, 1, time]`.
 fn upright(quaternion: Tensor<3>) -> Tensor<3> {
     let [w, y] = [0, 2].map(|part| quaternion.clone().narrow(1, part, 1));
     (w.square() + y.square()) / (quaternion.square().sum_dim(1) + LEAST_SQUARE)
 }
 
-/// Turns less whole ones, up to half a turn in either direction.
+/// Turns without whole turns, up to half a turn in either direction.
 fn nearest(turns: Tensor<3>) -> Tensor<3> {
     let whole = turns.clone().without_autodiff().round();
     turns - whole
 }
 
-/// Sine and cosine of the heading, `[batch, 2, time]`: the turn about the vertical that is part of
-/// quaternions of any norm. Its norm is small upside down, where the heading is undefined.
+/// Sine and cosine of the heading, `[batch, 2, time]`: the turn about the vertical in quaternions
+/// of any norm. The norm is small upside down, where the heading is undefined.
 fn heading(quaternion: Tensor<3>) -> Tensor<3> {
     let [w, y] = [0, 2].map(|part| quaternion.clone().narrow(1, part, 1));
     let square = (w.clone().square() + y.clone().square()).clamp_min(LEAST_SQUARE);
@@ -118,7 +118,8 @@ fn turned_by(direction: Tensor<3>, angle: Tensor<3>) -> Tensor<3> {
     add_angle(direction, angle.clone().sin(), angle.cos())
 }
 
-/// Places in turns `[batch, 1, time]`, moved by whole turns to less than half of one from the previous.
+/// Angles in turns `[batch, 1, time]`, moved by whole turns to within half a turn of the previous
+/// angle.
 fn unwrapped(places: Tensor<3>) -> Tensor<3> {
     let time = places.dims()[2];
     if time < 2 {
@@ -142,7 +143,7 @@ mod tests {
     use super::super::tests::{assert_gradients, shaken, tensors};
     use super::*;
 
-    /// A dancer who leans, and whose heading jumps in every seventh frame.
+    /// A leaning dancer with a heading that jumps in every seventh frame.
     fn jumping(seed: u64, frames: usize) -> Phrase {
         let mut motion = shaken(seed, frames);
         for t in (4..frames).step_by(7) {
@@ -199,7 +200,7 @@ mod tests {
             let weights = TensorData::new(weights.clone(), [2, 7, frames]);
             let weights = Tensor::<3>::from_data(weights, &quaternion.device());
             let (quaternion, rates) = fitted(quaternion, rates, &[0.9; 3]);
-            // q and -q are one rotation.
+            // q and -q are the same rotation.
             (Tensor::cat(vec![quaternion.square(), rates], 1) * weights).sum()
         };
         assert_gradients(&motions, loss, 2e-3, |expected| {

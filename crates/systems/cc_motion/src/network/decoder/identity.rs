@@ -1,5 +1,5 @@
-//! A decoder that starts as the inverse of the normalisation: the input projection has orthonormal
-//! columns, each head reads its channels back from them and undoes the normalisation, and the
+//! A decoder that starts as the inverse of the normalization. The input projection has orthonormal
+//! columns. Each head recovers its channels from these columns and undoes the normalization. The
 //! residual blocks have no effect.
 
 use std::ops::Range;
@@ -9,10 +9,10 @@ use kinegrad_motion::phrase::{ACCELERATION, POSITION, VELOCITY};
 
 use super::{MotionDecoder, Normalization, OutputActivation};
 
-/// The error is at most 0.06 between 0 and 1; a slope of 4 has a larger one at the ends.
+/// The error is at most 0.06 between 0 and 1; a slope of 4 has a larger error at the ends.
 const SIGMOID_SLOPE: f64 = 6.0;
 
-/// Sets the weights of `decoder`; its random input projection gives the directions.
+/// Sets the weights of `decoder`; the random input projection gives the directions.
 pub(super) fn identity(decoder: MotionDecoder) -> MotionDecoder {
     let mut weights = parameters::export(&decoder);
     let channels = decoder.targets.channels();
@@ -56,7 +56,7 @@ pub(super) fn identity(decoder: MotionDecoder) -> MotionDecoder {
     parameters::replace(decoder, values.collect())
 }
 
-/// Channels, activation and range of the head that the parameter `name` belongs to.
+/// Channels, activation and range of the head with the parameter `name`.
 fn head(decoder: &MotionDecoder, name: &str) -> Option<(Range<usize>, OutputActivation, f64)> {
     let targets = decoder.targets;
     let component = name.split('.').next()?.strip_suffix("_head")?;
@@ -75,7 +75,7 @@ fn head(decoder: &MotionDecoder, name: &str) -> Option<(Range<usize>, OutputActi
     })
 }
 
-/// Gain and offset in front of an activation after which it comes nearest to `std x + mean`.
+/// Gain and offset before an activation that give the best approximation of `std x + mean`.
 fn affine(mean: f64, std: f64, activation: OutputActivation, range: f64) -> (f64, f64) {
     match activation {
         OutputActivation::None | OutputActivation::Normalize => (std, mean),
@@ -84,7 +84,7 @@ fn affine(mean: f64, std: f64, activation: OutputActivation, range: f64) -> (f64
     }
 }
 
-/// The columns of a row-major matrix of so many `channels`, made orthonormal from left to right.
+/// The columns of a row-major matrix with `channels` columns, made orthonormal from left to right.
 fn orthonormal_columns(values: &[f32], channels: usize) -> Vec<Vec<f64>> {
     let mut columns: Vec<Vec<f64>> = Vec::with_capacity(channels);
     for channel in 0..channels {

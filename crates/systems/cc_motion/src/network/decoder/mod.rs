@@ -1,5 +1,5 @@
-//! From a sampler's latent to motion in physical units (CC-MotionGen, section 3.3; docs/sources.md,
-//! section 1.6).
+//! The decoder from a sampler's latent to motion in physical units (CC-MotionGen, section 3.3;
+//! docs/sources.md, section 1.6).
 
 mod coherent;
 mod config;
@@ -27,10 +27,10 @@ pub use config::{
     Coherence, DecoderConfig, DecoderInit, OutputActivation, OutputActivations, OutputRanges,
 };
 
-/// A quaternion of a smaller norm is not divided by it.
+/// A quaternion with a smaller norm is not normalized.
 const LEAST_NORM: f64 = 1e-12;
 
-/// Mean and deviation of each channel of the latent, in the denoiser's [`ChannelEncoding`].
+/// Mean and standard deviation of each latent channel, in the denoiser's [`ChannelEncoding`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Normalization {
     /// Subtracted mean.
@@ -60,12 +60,12 @@ impl DecoderBlock {
     }
 }
 
-/// Decodes each frame by itself: an input projection, residual blocks, a linear head and an
-/// activation for each component; then, if configured, the projection onto coherent motion, which
-/// couples the frames. Should be created with [`DecoderConfig::init`].
+/// Decodes each frame separately: an input projection, residual blocks, a linear head and an
+/// activation for each component. The optional projection onto coherent motion couples the frames.
+/// Should be created with [`DecoderConfig::init`].
 ///
-/// The latent is the normalised motion that a sampler generates; the output is in metres, seconds
-/// and radians. The heads predict the [`ChannelEncoding`] of the denoiser; phase and orientation are
+/// The latent is the normalized motion that a sampler generates. The output is in meters, seconds
+/// and radians. The heads predict the denoiser's [`ChannelEncoding`]; phase and orientation are
 /// converted at the end.
 #[derive(Module, Debug)]
 pub struct MotionDecoder {
@@ -91,13 +91,13 @@ pub struct MotionDecoder {
 }
 
 impl DecoderConfig {
-    /// Builds the decoder of latents of the 25 channels, normalised by `normalization`.
+    /// Builds the decoder for latents of the 25 channels, normalized by `normalization`.
     ///
     /// # Errors
     /// As [`validate`](Self::validate).
     ///
     /// # Panics
-    /// Panics if the normalisation has not 25 channels.
+    /// Panics if the normalization does not have 25 channels.
     pub fn init(
         &self,
         normalization: Normalization,
@@ -107,13 +107,13 @@ impl DecoderConfig {
     }
 
     /// [`init`](Self::init) for latents of these `targets`. The activations of phase and quaternion
-    /// apply to the stored ones alone: the conversion bounds both.
+    /// apply only to the stored encodings, because the conversion bounds both.
     ///
     /// # Errors
-    /// As [`validate`](Self::validate), and if the identity does not fit into `hidden_dim`.
+    /// As [`validate`](Self::validate); also if the identity does not fit into `hidden_dim`.
     ///
     /// # Panics
-    /// Panics if the normalisation has other channels.
+    /// Panics if the normalization has other channels.
     pub fn init_for(
         &self,
         targets: ChannelEncoding,
@@ -168,7 +168,7 @@ impl DecoderConfig {
 
 impl MotionDecoder {
     /// # Shapes
-    /// - latent: `[batch, channels, time]`, normalised; 25 channels, or those of the targets
+    /// - latent: `[batch, channels, time]`, normalized; 25 channels, or the channels of the targets
     /// - output: `[batch, 25, time]`, physical units
     pub fn forward(&self, latent: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
         let motion = self.frames(latent, dropout);
@@ -183,7 +183,7 @@ impl MotionDecoder {
         self.coherence
     }
 
-    /// [`forward`](Self::forward) without coherence: each frame by itself.
+    /// [`forward`](Self::forward) without coherence: each frame separately.
     pub fn frames(&self, latent: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
         let [batch, channels, time] = latent.dims();
         let rows = latent.swap_dims(1, 2).reshape([batch * time, channels]);
@@ -226,9 +226,10 @@ impl MotionDecoder {
         ]
     }
 
-    /// Replaces position, velocity and acceleration by the nearest coherent ones, and under
-    /// [`Coherence::Full`] headings and quaternions by those nearest to them and the angular
-    /// velocities. Signs become continuous, angular velocities the derivatives of the quaternions.
+    /// Replaces position, velocity and acceleration by the nearest coherent trajectory. Under
+    /// [`Coherence::Full`], fits headings and quaternions to themselves and to the angular
+    /// velocities. Signs become continuous; angular velocities become the derivatives of the
+    /// quaternions.
     fn project(&self, motion: Tensor<3>) -> Tensor<3> {
         let [batch, _, time] = motion.dims();
         let fits = Fits::new(time, &self.normalization.std);
@@ -274,7 +275,7 @@ fn bounded(y: Tensor<2>, activation: OutputActivation, range: f64) -> Tensor<2> 
         OutputActivation::TanhScaled => y.tanh() * range,
         OutputActivation::Sigmoid => sigmoid(y),
         OutputActivation::Normalize => {
-            // The root's gradient at zero is infinite: the square is bounded below instead.
+            // The square root's gradient at zero is infinite, so the square has a lower bound.
             let square = y.clone().square().sum_dim(1);
             y / square.clamp_min(LEAST_NORM * LEAST_NORM).sqrt()
         }

@@ -10,9 +10,9 @@ use super::LEAST_NORM;
 use crate::network::channel_encoding::sign_continuous;
 use crate::network::rotation::{conjugate, product, turned};
 
-/// The orientations nearest to unit quaternions and angular velocities that contradict each other,
-/// as [`fit_orientation`](kinegrad_motion::coherence::fit_orientation) has them: unit quaternions of
-/// continuous sign. `std` are the training deviations of the angular velocity.
+/// Fits orientations to unit quaternions and inconsistent angular velocities, as
+/// [`fit_orientation`](kinegrad_motion::coherence::fit_orientation). Returns unit quaternions with
+/// continuous signs. `std` are the training standard deviations of the angular velocity.
 ///
 /// # Shapes
 /// - quaternion: `[batch, 4, time]`
@@ -29,7 +29,7 @@ pub(super) fn fitted(quaternion: Tensor<3>, rates: Tensor<3>, std: &[f64]) -> Te
     sign_continuous(product(along, rest))
 }
 
-/// The fit of each channel by itself, `[channels, frames]`.
+/// The separate fit of each channel, `[channels, frames]`.
 #[derive(Debug)]
 pub(super) struct Smooth(pub OrientationFit);
 

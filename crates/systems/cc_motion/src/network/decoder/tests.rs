@@ -79,7 +79,8 @@ fn assert_coherent(coherence: Coherence) {
     assert!(dots.min().into_scalar::<f32>() >= 0.0);
     let norms = q.square().sum_dim(1);
     assert!(largest(norms - 1.0) < 1e-5);
-    // The angular velocity is that of the quaternions as written, by the code that checks it.
+    // The angular velocity is the derivative of the written quaternions, according to the checks'
+    // code.
     let rows = host_values(y.clone().swap_dims(1, 2));
     for rows in rows.chunks_exact(time * CHANNELS) {
         let motion = Phrase::new(rows.to_vec()).unwrap();
@@ -88,7 +89,7 @@ fn assert_coherent(coherence: Coherence) {
         let last = motion.vector(time - 1, ANGULAR_VELOCITY);
         assert_eq!(last, motion.vector(time - 2, ANGULAR_VELOCITY));
     }
-    // Projecting what is coherent already changes nothing.
+    // Projecting coherent motion changes nothing.
     assert!(largest(decoder.project(y.clone()) - y) < 2e-2);
 }
 
@@ -251,7 +252,7 @@ fn the_banded_projection_is_the_dense_one_with_its_gradient() {
     }
 }
 
-/// A dancer who turns, with noise in orientations and angular velocities.
+/// A turning dancer, with noise in orientations and angular velocities.
 pub(super) fn shaken(seed: u64, frames: usize) -> Phrase {
     let noise = Key::new(seed, Purpose::Noise).normals(6 * frames);
     let mut motion = Phrase::new(vec![0.0; CHANNELS * frames]).unwrap();
@@ -278,8 +279,8 @@ pub(super) fn tensors(motions: &[Phrase], device: &Device) -> [Tensor<3>; 2] {
     [QUATERNION, ANGULAR_VELOCITY].map(|channels| all.clone().slice([0..motions.len(), channels]))
 }
 
-/// Asserts that the gradients of a loss of quaternions and angular velocities are its central
-/// differences over `step`, up to what is `allowed`.
+/// Asserts that the gradients of a loss of quaternions and angular velocities equal the loss's
+/// central differences over `step`, up to an `allowed` error.
 pub(super) fn assert_gradients(
     motions: &[Phrase],
     loss: impl Fn(Tensor<3>, Tensor<3>) -> Tensor<1>,

@@ -11,9 +11,9 @@ use super::{Bottleneck, DecoderLevel, EncoderLevel, UNet1d};
 use crate::network::attention::AttentionBlock;
 
 impl UNet1d {
-    /// Puts a fresh adapter without effect on every layer that `config` names, and freezes all other
-    /// parameters. Existing adapters are merged first. The first values depend on the seed of `init`
-    /// and on the names alone; its device is the network's.
+    /// Adds a fresh adapter without effect to every layer that `config` names, and freezes all
+    /// other parameters. Existing adapters are merged first. Initial values depend only on the seed
+    /// of `init` and on names; the device of `init` must be the network's.
     ///
     /// # Errors
     /// As [`LoraConfig::validate`].
@@ -27,7 +27,7 @@ impl UNet1d {
         Ok(frozen.adapting(&Adapting::Attach(config, init.clone())))
     }
 
-    /// The network with its adapters merged into the weights, all of them trainable.
+    /// The network with its adapters merged into the weights; all weights are trainable.
     #[must_use]
     pub fn merge_adapters(self) -> Self {
         self.adapting(&Adapting::Merge).set_require_grad(true)
@@ -78,7 +78,7 @@ impl UNet1d {
     }
 }
 
-/// Applies `each` to the items of a list, at the places of their numbers.
+/// Applies `each` to the items of a list, at names with the items' indices.
 pub(super) fn numbered<T>(
     items: Vec<T>,
     adapting: &Adapting<'_>,

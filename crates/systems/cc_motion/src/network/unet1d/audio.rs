@@ -16,26 +16,26 @@ use super::adapters::numbered;
 use super::beats::{BEAT_CHANNELS, BeatTracker, TRACKED, beat_labels};
 use super::constant_tempo::fit_constant_tempo;
 
-/// Taps of the encoder's convolutions, but for those that halve the length.
+/// Kernel size of the encoder's convolutions, except downsampling convolutions.
 const KERNEL: usize = 5;
 
-/// Frames, about two seconds, over which means are taken.
+/// Number of frames for means, about two seconds.
 const AROUND: usize = 61;
 
 /// Norm of sine and cosine below which an angle is undefined.
 const SMALLEST_NORM: f64 = 1e-3;
 
-/// How the audio features are fed into the network.
+/// The input of audio features into the network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum AudioConditioning {
     /// CC-MotionGen: a linear layer per frame, and cross-attention without positions to all frames.
-    /// Attention is over a set, so the network cannot tell when something sounds. Padding is taken
-    /// for motion.
+    /// Attention is over a set, so the network cannot determine the time of sounds. Padding is
+    /// treated as motion.
     #[default]
     Ccmotion,
     /// A temporal convolution encoder whose output joins each level frame by frame, and
-    /// cross-attention with rotary positions. Padding takes no part.
+    /// cross-attention with rotary positions. Padding is masked.
     Aligned,
 }
 
@@ -44,19 +44,20 @@ pub enum AudioConditioning {
 pub struct AudioCondition {
     /// Audio features, `[batch, cond_channels, time]`; zeros are the null condition.
     pub features: Tensor<3>,
-    /// Frames of each sample that are not padding; all if `None`. [`AudioConditioning::Ccmotion`]
-    /// ignores them.
+    /// Real frames of each sample; all frames if `None`. [`AudioConditioning::Ccmotion`] ignores
+    /// the lengths.
     pub lengths: Option<Lengths>,
-    /// The style of each sample; the null style if `None`. Networks without style ignore it.
+    /// The style of each sample; the null style if `None`. Networks without style ignore this
+    /// field.
     pub style: Option<StyleCondition>,
-    /// Replaces tracked beats by the beat labels where there are some. Training sets this, because
-    /// the tracker is poor at first, and later nearly perfect on the training songs alone.
+    /// Replaces tracked beats by existing beat labels. Training sets this flag, because the tracker
+    /// is poor at first, and later nearly perfect only on the training songs.
     pub teacher_forcing: bool,
 }
 
 impl AudioCondition {
-    /// The condition without audio and style: features of zeros. In aligned networks the biases of
-    /// the encoder learn its embedding.
+    /// The condition without audio and style: features of zeros. In aligned networks, the encoder's
+    /// biases learn the embedding of the null condition.
     #[must_use]
     pub fn null(&self) -> Self {
         Self {
@@ -66,7 +67,7 @@ impl AudioCondition {
         }
     }
 
-    /// The same audio with the null style; `None` if there is no style.
+    /// The same audio with the null style; `None` without a style.
     #[must_use]
     pub fn null_style(&self) -> Option<Self> {
         let style = Some(self.style.as_ref()?.null());
@@ -89,7 +90,7 @@ impl From<Tensor<3>> for AudioCondition {
     }
 }
 
-/// The audio features of each level of the UNet, with the lengths of the samples there.
+/// The audio features of each level of the UNet, with the lengths of the samples at the level.
 pub(super) struct AudioContext(pub Vec<(Tensor<3>, Option<Lengths>)>);
 
 impl AudioContext {
@@ -98,12 +99,12 @@ impl AudioContext {
         self.0[level].0.clone()
     }
 
-    /// Frames of each sample that are not padding at a level.
+    /// Number of real frames of each sample at a level.
     pub fn lengths(&self, level: usize) -> Option<&Lengths> {
         self.0[level].1.as_ref()
     }
 
-    /// The convolution `conv`, whose output is at `level`, with the audio context of that level added.
+    /// The convolution `conv` with output at `level`, plus the audio context of `level`.
     pub fn join(&self, layer: &Option<Conv1d>, level: usize, conv: Convolution) -> Convolution {
         match layer {
             Some(layer) => conv.residual(layer.forward(self.context(level))),
@@ -118,7 +119,7 @@ fn without_labels(features: Tensor<3>) -> Tensor<3> {
     features.narrow(1, 0, channels - BEAT_CHANNELS)
 }
 
-/// The mean of each feature over the [`AROUND`] frames around each frame that are not padding.
+/// The mean of each feature over the real frames among the [`AROUND`] frames around each frame.
 pub(super) fn mean_around(features: Tensor<3>, lengths: Option<&Lengths>) -> Tensor<3> {
     let [batch, _, time] = features.dims();
     let device = features.device();
@@ -134,26 +135,27 @@ pub(super) fn mean_around(features: Tensor<3>, lengths: Option<&Lengths>) -> Ten
     mean(features * mask) / share
 }
 
-/// Sine and cosine of the same angle with a norm of one. The tracker's norm is near one on its
-/// training songs and smaller on others, outside the range of training.
+/// Sine and cosine of the same angle with a norm of one. The tracker's norm is near one on training
+/// songs. On other songs, the norm is smaller and outside the training range.
 fn direction(beats: Tensor<3>) -> Tensor<3> {
     let norm = (beats.clone().square().sum_dim(1) + SMALLEST_NORM * SMALLEST_NORM).sqrt();
     beats / norm
 }
 
-/// The audio encoder: features of the lengths and widths of the UNet's levels, at most `context_dim`.
+/// The audio encoder: features with the lengths and widths of the UNet's levels; the width is at
+/// most `context_dim`.
 ///
 /// ```text
 /// a_0 = block(conv5(features))        block(a) = a + conv5(silu(norm(a)))
 /// a_i = block(conv3 with stride 2(a_(i-1)))
 /// ```
 ///
-/// Lengths are halved as in the UNet: frame `j` of a level is centred on frame `2 j` of the finer
-/// one, and `n` frames become `ceil(n / 2)`. Frame `j` of `a_i` and of the UNet's level `i` have the
-/// same time.
+/// Lengths are halved as in the UNet: frame `j` of a level is centered on frame `2 j` of the finer
+/// level, and `n` frames become `ceil(n / 2)`. Frame `j` of `a_i` and frame `j` of the UNet's level
+/// `i` have the same time.
 #[derive(Module, Debug)]
 pub(super) struct AudioEncoder {
-    /// In place of the beat features.
+    /// Replaces the beat features.
     beats: Option<BeatTracker>,
     stem: Conv1d,
     levels: Vec<AudioLevel>,
@@ -167,15 +169,15 @@ struct AudioLevel {
     conv: Conv1d,
 }
 
-/// Channels of the encoder's levels under a UNet of these channels.
+/// Channels of the encoder's levels for a UNet with these channels.
 pub(super) fn widths(channels: &[usize], context_dim: usize) -> Vec<usize> {
     let widths = channels.iter().map(|&width| width.min(context_dim));
     widths.collect()
 }
 
 impl AudioEncoder {
-    /// An encoder of `inputs` features with levels of these `widths`, multiples of 32. Where it
-    /// `tracks` beats, the last [`BEAT_CHANNELS`] features are the labels of its tracker alone.
+    /// An encoder of `inputs` features with levels of these `widths`, multiples of 32. If the
+    /// encoder `tracks` beats, the last [`BEAT_CHANNELS`] features are only labels of the tracker.
     pub fn new(inputs: usize, widths: &[usize], tracks: bool, init: &Initializer) -> Self {
         let beats = tracks.then(|| BeatTracker::new(inputs - BEAT_CHANNELS, &init.at("beats")));
         let inputs = if tracks {
@@ -213,7 +215,8 @@ impl AudioEncoder {
                     let (labels, known) = beat_labels(&features);
                     beats = labels * known.clone() + beats * (known.neg() + 1.0);
                 }
-                // Unaveraged features contain the onsets, which a network memorises for few songs.
+                // Unaveraged features contain the onsets; with few songs, a network memorizes the
+                // onsets.
                 let sounds = mean_around(without_labels(features), lengths.as_ref());
                 Tensor::cat(vec![sounds, beats], 1)
             }
@@ -234,7 +237,7 @@ impl AudioEncoder {
         AudioContext(context)
     }
 
-    /// Sine and cosine of each frame's place in its beat by the tracker, if any: `[batch, 2, time]`.
+    /// Sine and cosine of each frame's beat phase by the tracker, if any: `[batch, 2, time]`.
     pub fn track(&self, features: Tensor<3>, lengths: Option<&Lengths>) -> Option<Tensor<3>> {
         let beats = self.beats.as_ref()?;
         Some(beats.forward(without_labels(features), lengths))
@@ -273,7 +276,7 @@ mod tests {
 
     use super::*;
 
-    /// A feature that is `level` in the first `frames` of 90 frames, with 1 added to one of them.
+    /// A feature that is `level` in the first `frames` of 90 frames, plus 1 in frame `at`.
     fn click(at: usize, level: f32, frames: usize, padding: f32) -> Vec<f32> {
         let device = Device::flex();
         let mut row = vec![level; 90];

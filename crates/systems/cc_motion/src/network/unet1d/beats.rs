@@ -16,9 +16,9 @@ pub enum Beats {
     /// The beat features, if `data.audio_features` lists them.
     #[default]
     Given,
-    /// Tracked in the other features by a small network in the audio encoder. It is trained on the
-    /// beat features, which `data.audio_features` must list; the rest of the network is trained on
-    /// them too and sampled with the tracked beats.
+    /// Tracked in the other features by a small network in the audio encoder. This tracker is
+    /// trained on the beat features, which `data.audio_features` must list. The rest of the network
+    /// is trained with the beat features and sampled with the tracked beats.
     Tracked,
 }
 
@@ -28,16 +28,17 @@ impl Beats {
     }
 }
 
-/// The last features of a frame, of beats and bars; the first two are sine and cosine of the beat.
+/// Number of beat and bar features, the last features of a frame; the first two are sine and cosine
+/// of the beat.
 pub const BEAT_CHANNELS: usize = 7;
 
-/// Channels of a frame's place in its beat: sine and cosine.
+/// Channels of a frame's beat phase: sine and cosine.
 pub(super) const TRACKED: usize = 2;
 
-/// Adjacent features that are averaged before they are differentiated.
+/// Number of adjacent features that are averaged before differentiation.
 const BAND: usize = 4;
 
-/// Features of all bands are differences of values from 0 to 1; this brings them near 1.
+/// Scale that brings differences of band features, with values from 0 to 1, near 1.
 const NOVELTY_SCALE: f64 = 4.0;
 
 const WIDTH: usize = 64;
@@ -47,11 +48,11 @@ const KERNEL: usize = 5;
 /// Blocks of convolutions; the receptive field is 64 frames, about two seconds, on either side.
 const BLOCKS: usize = 5;
 
-/// Finds the place of each frame in its beat from features of the music.
+/// Predicts each frame's beat phase from features of the music.
 ///
 /// Onsets mark beats, while the levels of the features identify the song, which does not
-/// generalise. The inputs are the increases, from frame to frame, of the means of four adjacent
-/// features; the remaining ones (loudness, brightness and onset strength) are unchanged.
+/// generalize. The inputs are the frame-to-frame increases of means of four adjacent features. The
+/// remaining features (loudness, brightness and onset strength) are unchanged.
 ///
 /// ```text
 /// h_0 = conv5(features)     h_(i+1) = h_i + conv5 of dilation 2^i (silu(norm(h_i)))
@@ -71,7 +72,7 @@ struct Block {
 }
 
 impl BeatTracker {
-    /// A tracker in music of so many features.
+    /// A tracker for music with `features` features.
     pub fn new(features: usize, init: &Initializer) -> Self {
         let block = |index: usize| {
             let init = init.at("blocks").at(&index.to_string());
@@ -88,7 +89,7 @@ impl BeatTracker {
         }
     }
 
-    /// Estimated numbers that the backward pass stores of a frame.
+    /// Approximate number of values kept for the backward pass, per frame.
     pub const ACTIVATIONS: u64 = ((3 * BLOCKS + 2) * WIDTH) as u64;
 
     /// # Shapes
@@ -111,9 +112,9 @@ impl BeatTracker {
     }
 }
 
-/// The labels of the place in the beat in features `[batch, channels, time]`: sine and cosine
-/// `[batch, 2, time]`, and a mask, 1 where they are of one angle, `[batch, 1, time]`. Elsewhere they
-/// are noise, or there are no beats.
+/// The beat labels in features `[batch, channels, time]`: sine and cosine, `[batch, 2, time]`, and
+/// a mask, `[batch, 1, time]`. The mask is 1 where the labels form an angle; elsewhere the labels
+/// are noise or absent.
 pub fn beat_labels(features: &Tensor<3>) -> (Tensor<3>, Tensor<3>) {
     let first = features.dims()[1] - BEAT_CHANNELS;
     let labels = features.clone().narrow(1, first, TRACKED);
@@ -123,7 +124,7 @@ pub fn beat_labels(features: &Tensor<3>) -> (Tensor<3>, Tensor<3>) {
     (labels, known)
 }
 
-/// The increases of the means of four adjacent features from frame to frame, then the remaining ones.
+/// The frame-to-frame increases of means of four adjacent features, then the remaining features.
 fn novelty(features: Tensor<3>) -> Tensor<3> {
     let [batch, channels, time] = features.dims();
     let bands = channels / BAND;
@@ -147,7 +148,7 @@ fn novelty(features: Tensor<3>) -> Tensor<3> {
     }
 }
 
-/// `conv` with its taps `dilation` frames apart: every `dilation`-th frames are one sequence.
+/// `conv` with taps `dilation` frames apart: every `dilation`-th frame forms one sequence.
 fn dilated(conv: &Conv1d, x: Tensor<3>, dilation: usize) -> Tensor<3> {
     let [batch, channels, time] = x.dims();
     if dilation == 1 {
@@ -193,7 +194,7 @@ mod tests {
         for (dilation, time) in [(1, 9), (2, 9), (4, 9), (4, 3), (8, 21)] {
             let x = normal(2, [2, 3, time], &device);
             let found = host_values(dilated(&conv, x.clone(), dilation));
-            // Each tap by itself, from the response to single frames.
+            // Each tap separately, from the response to single frames.
             let bias = host_values(conv.forward(Tensor::zeros([1, 3, 1], &device)));
             let mut expected: Vec<f32> = (0..2 * 2 * time).map(|i| bias[i / time % 2]).collect();
             for from in 0..time {

@@ -1,4 +1,4 @@
-//! A network that tracks the beats itself: its inputs, and the loss of its tracker.
+//! A network that tracks beats: inputs, and loss of the tracker.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::Time;
@@ -56,7 +56,7 @@ fn beats_are_tracked_in_the_music_and_not_in_the_labels() {
         assert_eq!(largest(a.clone() - b), 0.0);
         assert!(largest(a.clone() - c) > 1e-3);
     }
-    // When something sounds matters: music a frame later is tracked otherwise.
+    // The time of sounds matters: music shifted by a frame gives other tracked beats.
     let later = Tensor::cat(
         vec![
             music.clone().narrow(2, 0, 1),
@@ -73,7 +73,7 @@ fn teacher_forcing_replaces_tracked_beats_where_there_are_labels() {
     let network = network(&device);
     let x = normal(0, [2, 25, time], &device);
     let music = normal(1, [2, 11, time], &device);
-    // The first sample has labels of a beat of ten frames, the second none.
+    // The first sample has labels of a beat of ten frames, the second sample has no labels.
     let labels = |start: f32| {
         let mut rows = vec![0.0f32; 2 * BEAT_CHANNELS * time];
         for t in 0..time {
@@ -115,7 +115,7 @@ fn labels_and_tracked_beats_are_joined_frame_by_frame() {
         let cond = cond(labels, teacher_forcing);
         network.forward(x.clone(), &Time::of(&[400, 30]), cond, None)
     };
-    // The labels of the first half are the tracked beats, turned; the second half has none.
+    // The labels of the first half are the tracked beats, turned; the second half has no labels.
     let half = |turned: f32| {
         let found = network.find_beats(&cond(none.clone(), false));
         let unit = found.expect("a tracker").narrow(2, 0, 14);
@@ -141,7 +141,7 @@ fn found_beats_have_a_constant_tempo_and_none_in_silence() {
     let norms = found.clone().square().sum_dim(1);
     assert!(largest(norms.clone().narrow(0, 0, 1) - 1.0) < 0.01);
     assert_eq!(largest(norms.narrow(0, 1, 1)), 0.0);
-    // The found angle turns by about as much in each frame.
+    // The tracked angle turns by nearly the same amount in each frame.
     let found: Vec<f32> = found
         .narrow(0, 0, 1)
         .into_data()
@@ -214,6 +214,6 @@ fn beats_are_tracked_where_there_are_some_to_learn_from() {
         let error = config(conditioning).init(25, features, &init).unwrap_err();
         assert!(error.to_string().contains("model.beats"), "{error}");
     }
-    // What configs leave out.
+    // The default without the key.
     assert_eq!(UNet1dConfig::default().beats, Beats::Given);
 }

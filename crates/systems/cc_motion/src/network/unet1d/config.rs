@@ -23,33 +23,33 @@ pub struct UNet1dConfig {
     pub channel_mult: Vec<usize>,
     /// Residual blocks of an encoder level.
     pub num_res_blocks: usize,
-    /// Levels with attention, 0 being the finest; all but that one if not set.
+    /// Levels with attention; level 0 is the finest. Omitted: all levels except 0.
     pub attention_levels: Option<Vec<usize>>,
-    /// Attention heads, at every width.
+    /// Number of attention heads at every width.
     pub num_heads: usize,
-    /// Feed the timestep in as scale and shift (FiLM) instead of adding it.
+    /// Apply the timestep as scale and shift (FiLM) instead of addition.
     pub use_scale_shift_norm: bool,
     /// Width of the time embedding.
     pub time_embed_dim: usize,
-    /// Width of the projected conditioning. With `audio_conditioning = "aligned"` the most channels
-    /// of a level of the audio encoder, a multiple of 32.
+    /// Width of the projected conditioning. With `audio_conditioning = "aligned"`: largest width of
+    /// the audio encoder's levels, a multiple of 32.
     pub context_dim: usize,
     /// The audio conditioning.
     pub audio_conditioning: AudioConditioning,
-    /// Where the beats are from, with `audio_conditioning = "aligned"`.
+    /// The source of the beats, with `audio_conditioning = "aligned"`.
     #[serde(skip_serializing_if = "Beats::are_given")]
     pub beats: Beats,
     /// Dropout inside the residual blocks.
     pub dropout: f64,
     /// The predicted encoding of the phase.
     pub phase_target: PhaseEncoding,
-    /// The predicted encoding of the orientation. `data.augment.flip_quaternion` goes with
-    /// `quaternion` alone: to the others q and -q are the same.
+    /// The predicted encoding of the orientation. `data.augment.flip_quaternion` requires
+    /// `quaternion`: in other encodings, q and -q are the same.
     pub orientation_target: OrientationEncoding,
     /// The style condition, in addition to the audio.
     pub style: StyleConditioning,
-    /// The labels of `style = "label"` and `"both"`. If empty, those of the training phrases; the
-    /// run's saved config and its checkpoints state them.
+    /// The labels for `style = "label"` and `"both"`. If empty, the labels of the training phrases;
+    /// the run's saved config and checkpoints contain these labels.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub style_labels: Vec<String>,
 }
@@ -117,8 +117,8 @@ impl UNet1dConfig {
         }
     }
 
-    /// 104,436,505 parameters, the nearest coherent reading of CC-MotionGen's claim of 116 M
-    /// (docs/sources.md, section 1.15).
+    /// 104,436,505 parameters, the nearest consistent interpretation of CC-MotionGen's claim of 116
+    /// M (docs/sources.md, section 1.15).
     pub fn cc116m() -> Self {
         Self {
             channel_mult: vec![1, 2, 4, 4],
@@ -149,7 +149,7 @@ impl UNet1dConfig {
     }
 
     /// # Errors
-    /// Names the key that no network can be built from.
+    /// Names the invalid key.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         let mults = &self.channel_mult;
         require(
@@ -186,7 +186,7 @@ impl UNet1dConfig {
             format!("levels 0 to {coarsest}"),
         )
         .hint("one entry a level that attends")?;
-        // In the decoder a level attends at the width of the next finer one.
+        // In the decoder, attention of a level has the width of the next finer level.
         let above = |&level: &usize| (level != coarsest).then(|| level.saturating_sub(1));
         let ups: Vec<usize> = attending.iter().filter_map(above).collect();
         let aligned = self.audio_conditioning == AudioConditioning::Aligned;
@@ -253,17 +253,17 @@ impl UNet1dConfig {
         )
     }
 
-    /// Estimated numbers that the backward pass stores of one item of `frames` frames.
+    /// Approximate number of values kept for the backward pass, per item of `frames` frames.
     pub fn activations(&self, frames: usize) -> u64 {
         let attending = self.attention_levels();
         let of_level = |(level, width): (usize, usize)| {
             let here = frames.div_ceil(1 << level) as u64;
             // A block stores its input and the outputs of its convolutions and its dropout. The
-            // decoder has two blocks, the first of which takes the skip connection too.
+            // decoder has two blocks; the first block also takes the skip connection.
             let blocks = 4 * self.num_res_blocks as u64 + 12;
             let attention = 2 * u64::from(attending.contains(&level));
-            // Queries, keys, values and results, and the keys and values of the context (aligned: of
-            // the level's own frames, and rotated).
+            // Queries, keys, values and results, and keys and values of the context (for aligned
+            // audio: of the level's frames, and rotated).
             let context = match self.audio_conditioning {
                 AudioConditioning::Ccmotion => 2 * frames as u64,
                 AudioConditioning::Aligned => 8 * here,
@@ -275,7 +275,8 @@ impl UNet1dConfig {
         if self.audio_conditioning == AudioConditioning::Ccmotion {
             return network;
         }
-        // The audio encoder stores the outputs of its convolutions and of each join.
+        // The audio encoder stores the outputs of its convolutions and of each addition to the
+        // UNet.
         let encoder = |(level, width): (usize, usize)| {
             let here = frames.div_ceil(1 << level) as u64;
             (3 * width + 2 * channels[level]) as u64 * here

@@ -1,4 +1,4 @@
-//! A constant tempo fitted to beats that were tracked frame by frame.
+//! A constant tempo fitted to beats tracked frame by frame.
 
 use std::f64::consts::TAU;
 
@@ -8,20 +8,20 @@ use kinegrad_kernels::Lengths;
 use super::audio::mean_around;
 use crate::network::rotation::add_angle;
 
-/// Beats in a frame, from 30 to 300 a minute at 30 frames per second.
+/// Beats per frame, for 30 to 300 beats per minute at 30 frames per second.
 const SLOWEST: f64 = 30.0 / 60.0 / 30.0;
 const FASTEST: f64 = 300.0 / 60.0 / 30.0;
 
-/// Steps of half a thousandth of a beat in a frame: between two of them, the places of two seconds
-/// turn by no more than a seventieth of a beat.
+/// Number of tempi, in steps of half a thousandth of a beat per frame. Between two tempi, phases
+/// within two seconds differ by at most a seventieth of a beat.
 const TEMPI: usize = 301;
 
-/// Sine and cosine of the place in a beat at a constant tempo: music keeps its tempo, so the frames
-/// around a frame are evidence for it too.
+/// Sine and cosine of the beat phase at a constant tempo. Music keeps its tempo, so neighboring
+/// frames also determine a frame's beat phase.
 ///
-/// The tempo `w` is the one that most of the frames agree with, the largest `|sum_t z_t exp(-i w t)|`
-/// with `z = cos + i sin`. The remaining angles, `z_t exp(-i w t)`, is averaged over
-/// two seconds twice, so that tempo may drift a little within the music.
+/// The tempo `w` maximizes the agreement of the frames, `|sum_t z_t exp(-i w t)|` with `z = cos + i
+/// sin`. The remaining angles, `z_t exp(-i w t)`, are averaged over two seconds twice, so that the
+/// tempo may drift slightly within the music.
 ///
 /// # Shapes
 /// - found, output: sine and cosine, `[batch, 2, time]`, with a norm that grows with the agreement of the frames
@@ -51,7 +51,7 @@ pub(super) fn fit_constant_tempo(found: Tensor<3>, lengths: Option<&Lengths>) ->
     add_angle(left, sine, cosine)
 }
 
-/// Sine or cosine of the angles of each tempo, `[TEMPI, time]`.
+/// Sine or cosine of the angles at each tempo, `[TEMPI, time]`.
 fn turns(of: fn(f64) -> f64, time: usize, device: &Device) -> Tensor<2> {
     let tempi = (0..TEMPI).map(|k| {
         let share = k as f64 / (TEMPI - 1) as f64;
@@ -69,7 +69,7 @@ mod tests {
 
     use super::*;
 
-    /// Rows of sines and cosines of `places` in the beat, of a norm for each.
+    /// Rows of sines and cosines of beat phases `places`, with the given norms.
     fn rows(places: &[f64], norms: &[f64]) -> Vec<f32> {
         let row = |of: fn(f64) -> f64| {
             let values = places.iter().zip(norms);
@@ -105,7 +105,7 @@ mod tests {
             let norms = vec![0.4; places.len()];
             let kept = fitted(rows(&places, &norms), places.len(), None);
             assert!(distance(&kept, &places) < 0.01);
-            // A third of the frames half a beat off, the others by up to a tenth.
+            // A third of the frames are wrong by half a beat, other frames by up to a tenth.
             let noise = Key::new(3, Purpose::Noise).normals(places.len());
             let found: Vec<f64> = (0..places.len())
                 .map(|t| {
@@ -122,7 +122,7 @@ mod tests {
 
     #[test]
     fn a_tempo_that_drifts_is_followed() {
-        // From 115 to 125 beats a minute within the four seconds.
+        // The tempo rises from 115 to 125 beats per minute within four seconds.
         let places: Vec<f64> = (0..120)
             .map(|t| f64::from(t) / 15.65 + f64::from(t * t) / 21600.0 / 2.0)
             .collect();

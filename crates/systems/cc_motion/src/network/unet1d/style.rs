@@ -9,7 +9,7 @@ use kinegrad_models::lora::{Adapting, LoraTarget};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Values of a style's numbers: the eight, normalised, and 1.
+/// Values of a style's numbers: eight normalized numbers, and 1.
 pub const STYLE_VALUES: usize = 9;
 
 /// The style condition (CC-MotionGen, section 15.2, plans style control for version 0.4).
@@ -23,7 +23,7 @@ pub enum StyleConditioning {
     Numbers,
     /// The phrase's label, such as `waltz`.
     Label,
-    /// Numbers and label, of which either can be left out.
+    /// Numbers and label; either can be omitted.
     Both,
 }
 
@@ -39,12 +39,12 @@ impl StyleConditioning {
     }
 }
 
-/// The style of each sample of a batch. Zeros are the null style; what is left out is null for all.
+/// The style of each sample of a batch. Zeros are the null style; `None` is null for all samples.
 #[derive(Clone, Debug)]
 pub struct StyleCondition {
-    /// The eight numbers, normalised, and 1: `[batch, 9]`.
+    /// The eight normalized numbers, and 1: `[batch, 9]`.
     pub numbers: Option<Tensor<2>>,
-    /// 1 in the place of the sample's label: `[batch, labels]`.
+    /// One-hot label of each sample: `[batch, labels]`.
     pub label: Option<Tensor<2>>,
 }
 
@@ -55,7 +55,7 @@ impl StyleCondition {
         self.map(Tensor::zeros_like)
     }
 
-    /// This style of one sample for each of `batch` samples.
+    /// This style of one sample, repeated for `batch` samples.
     pub(crate) fn repeated(&self, batch: usize) -> Self {
         self.map(|values| values.clone().repeat_dim(0, batch))
     }
@@ -68,14 +68,14 @@ impl StyleCondition {
     }
 }
 
-/// The embedding of the style, added to that of the timestep as class labels are in ADM (Dhariwal
+/// The embedding of the style, added to the timestep embedding like class labels in ADM (Dhariwal
 /// and Nichol 2021, <https://arxiv.org/abs/2105.05233>):
 ///
 /// ```text
 /// Linear(silu(Linear(numbers))) + Linear(label)
 /// ```
 ///
-/// The null style is what the biases make of zeros, which is learned.
+/// The learned biases determine the embedding of the null style.
 #[derive(Module, Debug)]
 pub(super) struct StyleEmbedding {
     numbers_at_0: Option<Linear>,
@@ -84,7 +84,7 @@ pub(super) struct StyleEmbedding {
 }
 
 impl StyleEmbedding {
-    /// An embedding of `width` of a style of these parts; none without style.
+    /// An embedding of width `width` for a style of these parts; `None` without style.
     pub fn new(
         style: StyleConditioning,
         labels: usize,
@@ -102,10 +102,10 @@ impl StyleEmbedding {
         })
     }
 
-    /// The embedding of `style`, of the null style where there is none.
+    /// Adds the embedding of `style`; `None` is the null style.
     ///
     /// # Shapes
-    /// - time_emb, output: `[batch, width]`; the time embedding it is added to
+    /// - time_emb, output: `[batch, width]`, the time embedding without and with the style
     pub fn add_to(&self, time_emb: Tensor<2>, style: Option<&StyleCondition>) -> Tensor<2> {
         let (batch, device) = (time_emb.dims()[0], time_emb.device());
         let or_null = |values: Option<&Tensor<2>>, width: usize| match values {

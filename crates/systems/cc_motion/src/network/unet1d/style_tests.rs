@@ -1,4 +1,4 @@
-//! What the style changes, and what it leaves alone.
+//! Effects of the style condition.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Denoiser, GuidanceScales, Time, guided};
@@ -53,7 +53,7 @@ fn numbers(scale: f32) -> Vec<f32> {
     numbers.chain([1.0]).collect()
 }
 
-/// One style of each sort: numbers, a label, another label, nothing.
+/// One style of each kind: numbers, a label, another label, nothing.
 fn styles(device: &Device) -> StyleCondition {
     let none = vec![0.0; 9];
     StyleCondition {
@@ -109,7 +109,7 @@ fn each_style_of_a_batch_has_its_own_output_and_the_null_style_is_none() {
             assert!(apart > 1e-3, "{one} {other}: {apart}");
         }
     }
-    // The last one is as without a style, and as each without its own.
+    // The last sample equals a sample without a style, and every sample with its style removed.
     let none = predicted(&network, &condition(4, None, &device));
     let nothing = |x: &Tensor<3>| largest(sample(x, 3) - sample(&none, 3));
     assert!(nothing(&output) < 1e-6, "{}", nothing(&output));
@@ -199,7 +199,7 @@ fn dropped_styles_train_the_null_style_and_others_the_rest() {
         found.expect("a parameter").1.clone()
     };
     let is_zero = |values: &[f32]| values.iter().all(|&value| value == 0.0);
-    // Of all dropped, only biases learn what the null style is.
+    // If all styles are dropped, only biases learn the null style.
     let dropped = gradients(styles(&device).null());
     assert!(is_zero(&of(&dropped, "style.label.weight")));
     assert!(is_zero(&of(&dropped, "style.numbers.0.weight")));
@@ -210,7 +210,7 @@ fn dropped_styles_train_the_null_style_and_others_the_rest() {
     ] {
         assert!(!is_zero(&of(&dropped, null)), "{null}");
     }
-    // Of two labels, theirs.
+    // The columns of the two used labels have gradients.
     let labels = of(&gradients(styles(&device)), "style.label.weight");
     for (label, trained) in [true, false, true].into_iter().enumerate() {
         let column: Vec<f32> = labels.iter().skip(label).step_by(3).copied().collect();

@@ -1,4 +1,4 @@
-//! Aligned conditioning: its inputs, its padding and its gradients.
+//! Aligned conditioning: inputs, padding and gradients.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_diffusion::{Denoiser, Time};
@@ -67,7 +67,7 @@ fn the_order_of_the_audio_matters_to_an_aligned_network_alone() {
         let network = network(conditioning, &device);
         let of = |audio: Tensor<3>| network.forward(x.clone(), &Time::of(&[700, 3]), audio, None);
         let own = of(audio.clone());
-        // Other audio changes both.
+        // Other audio changes both samples.
         let other = of(normal(2, [2, FEATURES, time], &device));
         let by_other = largest(own.clone() - other);
         assert!(by_other > 0.01, "{conditioning:?}: {by_other}");
@@ -81,7 +81,7 @@ fn the_order_of_the_audio_matters_to_an_aligned_network_alone() {
     }
 }
 
-/// A change of one frame of audio reaches the frames around it most.
+/// A change of one audio frame affects nearby frames most.
 #[test]
 fn audio_is_joined_where_it_sounds() {
     let (device, time, at) = (Device::flex(), 64, 40);
@@ -104,7 +104,8 @@ fn audio_is_joined_where_it_sounds() {
 }
 
 fn on(device: &Device, mode: Mode, length: usize) -> [Tensor<3>; 2] {
-    // A batch with a shorter clip has noise in its motion and zeros in its audio; here also noise.
+    // In a batch, the padding of a shorter clip has noise in the motion and zeros in the audio.
+    // This test also puts noise into the audio.
     mode.scope(|| {
         let network = aligned(device);
         let time = 29;
@@ -121,7 +122,7 @@ fn on(device: &Device, mode: Mode, length: usize) -> [Tensor<3>; 2] {
         let padded = network.forward(x.clone(), &times, padded, None);
         let part = |x: &Tensor<3>, frames| x.clone().narrow(0, 0, 1).narrow(2, 0, frames);
         let alone = network.forward(part(&x, length), &times[..1], part(&features, length), None);
-        // The longer one is as in a batch without lengths.
+        // The longer clip equals the clip in a batch without lengths.
         let whole = network.forward(x, &times, features, None);
         let second = |x: Tensor<3>| x.narrow(0, 1, 1);
         let apart = largest(second(padded.clone()) - second(whole));
@@ -133,12 +134,14 @@ fn on(device: &Device, mode: Mode, length: usize) -> [Tensor<3>; 2] {
 #[test]
 fn padding_changes_nothing_that_is_real() {
     for mode in [Mode::Fused, Mode::Composed] {
-        // Odd and even at every level, and shorter than the coarsest level's stride.
+        // Lengths that are odd and even at every level, and shorter than the coarsest level's
+        // stride.
         for length in [28, 21, 16, 13, 9, 3, 1] {
             let [padded, alone] = on(&Device::flex(), mode, length);
             let apart = largest(padded - alone.clone());
             let scale = largest(alone);
-            // Norms of one or two frames multiply rounding by up to 1 / sqrt(1e-5) each.
+            // Each normalization over one or two frames multiplies rounding by up to 1 /
+            // sqrt(1e-5).
             let allowed = if length < 8 { 1e-2 } else { 2e-5 };
             assert!(
                 apart < allowed * scale.max(1.0),
@@ -155,12 +158,12 @@ fn the_two_modes_agree_with_padding() {
     assert!(largest(fused - composed) < 2e-5);
 }
 
-/// Frames of a batch, and of its shorter clip: a few even at the coarsest level, as the norm of a
-/// group of two numbers is nearly a step.
+/// Frames of a batch, and of its shorter clip. The coarsest level has several frames, because the
+/// normalization of a group of two numbers is nearly a step function.
 const FRAMES: usize = 52;
 const SHORTER: usize = 37;
 
-/// The loss of real frames, its gradients by parameter, and that of the audio.
+/// The loss of real frames, its gradients by parameter, and its gradient by the audio.
 fn loss_and_gradients(network: &UNet1d, mode: Mode) -> (f64, Vec<Vec<f32>>, Vec<f32>) {
     mode.scope(|| {
         let device = Device::flex().autodiff();
@@ -199,7 +202,7 @@ fn gradients_of_the_kernels_are_those_of_burns_operations() {
         let scale = largest(composed).max(1e-3 * overall);
         assert!(apart < 5e-4 * scale, "{}: {apart} of {scale}", info.name);
     }
-    // Padding of the audio has no gradient, the rest has the same in both.
+    // Padding of the audio has no gradient; real audio frames have the same gradient in both modes.
     let scale = largest(&audio_fused);
     for (index, (fused, composed)) in audio_fused.iter().zip(&audio_composed).enumerate() {
         assert!(
@@ -214,7 +217,7 @@ fn gradients_of_the_kernels_are_those_of_burns_operations() {
     }
 }
 
-/// Every new parameter along its own gradient, against the slope of the loss.
+/// Compares the gradient of every new parameter with the loss's slope along the gradient.
 #[test]
 fn gradients_of_the_encoder_are_slopes_of_the_loss() {
     let network = aligned(&Device::flex().autodiff());
@@ -233,7 +236,7 @@ fn gradients_of_the_encoder_are_slopes_of_the_loss() {
             .sum::<f64>()
             .sqrt();
         assert!(norm > 1e-6, "{} does not matter", info.name);
-        // As far as the loss changes by about a thousandth.
+        // A step that changes the loss by about a thousandth.
         let step = (1e-3 / norm).min(0.05);
         let moved = |by: f64| {
             let mut values = values.clone();
@@ -252,7 +255,8 @@ fn gradients_of_the_encoder_are_slopes_of_the_loss() {
         );
         checked += 1;
     }
-    // Stem, four levels, joins of encoder and decoder, and six projections of the context: weight and bias.
+    // Stem, four levels, additions in encoder and decoder, and six projections of the context:
+    // weight and bias.
     assert_eq!(checked, 2 * (1 + 3 + 2 * 4 + 4 + 3 + 6));
 }
 
@@ -273,7 +277,7 @@ fn the_null_condition_is_silence_of_the_same_lengths() {
     let times = Time::of(&[700, 3]);
     let [with, without] = [&cond, &null].map(|cond| network.predict(x.clone(), &times, cond));
     assert!(largest(with - without.clone()) > 0.01);
-    // A training step drops the condition by the same zeros.
+    // A training step drops the condition with the same zeros.
     let dropped = AudioCondition {
         features: cond.features * Tensor::zeros([2, 1, 1], &device),
         lengths: null.lengths,
@@ -299,7 +303,8 @@ fn adapters_reach_the_encoder_and_merge() {
         .into_iter()
         .map(|info| info.name);
     let adapters: Vec<String> = names.filter(|name| name.ends_with(".lora.a")).collect();
-    // The projections of the timestep, stem, four and three convolutions, seven joins.
+    // The projections of the timestep, the stem, four and three convolutions, seven additions of
+    // audio.
     assert_eq!(adapters.len(), 16 + 1 + 4 + 3 + 7);
     for layer in [
         "audio.stem",
@@ -334,7 +339,7 @@ fn sizes_that_cannot_be_aligned_are_refused_by_key() {
     let aligned = AudioConditioning::Aligned;
     let refused = |config: UNet1dConfig| config.validate().expect_err("refused").key;
     let odd = |audio_conditioning| UNet1dConfig {
-        // Heads of one channel where 32 channels attend.
+        // Heads of one channel at attention with 32 channels.
         num_heads: 32,
         ..config(audio_conditioning)
     };
@@ -350,7 +355,7 @@ fn sizes_that_cannot_be_aligned_are_refused_by_key() {
     narrow(AudioConditioning::Ccmotion)
         .validate()
         .expect("any width");
-    // In the decoder level 1 attends at level 0's width.
+    // In the decoder, attention of level 1 has level 0's width.
     let up = UNet1dConfig {
         model_channels: 32,
         channel_mult: vec![1, 2],

@@ -82,12 +82,12 @@ fn fresh_adapters_change_no_output_bit() {
     let fresh = values(&adapted(&all(), &device), &device);
     let bits = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
     assert_eq!(bits(&fresh), bits(&plain));
-    // And they are in the forward pass at all.
+    // The adapters are part of the forward pass.
     let trained = values(&trained(&all(), &device), &device);
     assert!(trained.iter().zip(&plain).all(|(t, p)| t != p));
 }
 
-/// The plain network of the same output and names, from a network on this device.
+/// Asserts that merging gives a plain network with the same output and names, on this device.
 fn assert_merges(device: &Device) {
     let trained = trained(&all(), device);
     let expected = values(&trained, device);
@@ -146,12 +146,12 @@ fn adapters_stand_beside_the_weights_they_change() {
     let default = LoraConfig::default();
     let adapted = parameters::infos(&adapted(&default, &device));
 
-    // The rest of a network in its order, with two factors after the bias of each adapted layer.
+    // The other parameters in their order, with two factors after the bias of each adapted layer.
     let mut expected = Vec::new();
     let mut elements = 0;
     for info in &plain {
         expected.push((info.name.clone(), info.shape.clone()));
-        // With the default targets these are the layers with a kernel: all but the linear ones.
+        // The default targets are the layers with a kernel: all except linear layers.
         if let Some(layer) = info.name.strip_suffix(".bias")
             && let Some(weight) = plain.iter().find(|p| p.name == format!("{layer}.weight"))
             && let [outputs, inputs, kernel] = weight.shape[..]
@@ -190,10 +190,11 @@ fn every_target_names_its_own_layers() {
     let attention = layers(LoraTarget::Attention);
     let convolution = layers(LoraTarget::Convolution);
     let conditioning = layers(LoraTarget::Conditioning);
-    // Three encoder levels, the middle and two decoder levels attend, with five projections each.
+    // Three encoder levels, the middle and two decoder levels have attention with five projections
+    // each.
     assert_eq!(attention.len(), 6 * 5);
     assert!(attention.iter().all(|name| name.contains(".attn.")));
-    // 16 residual blocks, each with one projection of the timestep; and the audio's.
+    // 16 residual blocks with one projection of the timestep each, and the projection of the audio.
     assert_eq!(conditioning.len(), 16 + 1);
     assert!(conditioning.contains(&"enc.3.res.1.time_mlp.1".to_string()));
     assert!(conditioning.contains(&"audio_proj".to_string()));
@@ -261,7 +262,7 @@ fn the_frozen_stay_frozen_and_unchanged() {
     let plain = plain_part(&network);
     assert_eq!(parameters::trainable(&network), expected);
     let weights = parameters::export(&network);
-    // Into parameters that are still lazy; below into some that have values.
+    // Loads into lazy parameters here, and into initialized parameters below.
     let loaded = parameters::load(adapted(&all(), &device), weights).expect("the weights fit");
     assert_eq!(parameters::trainable(&loaded), expected);
 
@@ -274,7 +275,7 @@ fn the_frozen_stay_frozen_and_unchanged() {
     assert_eq!(parameters::trainable(&updated), expected);
     assert_eq!(plain_part(&updated), plain);
 
-    // On a plain device too, where no tensor can tell.
+    // Also on a device without gradients, where tensors do not have the flag.
     let valid = updated.valid();
     assert_eq!(parameters::trainable(&valid), expected);
     let host = parameters::export(&updated).into_iter();
