@@ -31,7 +31,7 @@ impl Default for Backbone {
 
 impl Backbone {
     /// # Errors
-    /// Names the key that no network can be built from.
+    /// Names the invalid key.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         match self {
             Self::GmdUnet(config) => config.validate(),
@@ -90,7 +90,7 @@ impl TextDenoiser {
     /// A network for motion of `in_channels`, without a projection.
     ///
     /// # Errors
-    /// Names the key that no network can be built from.
+    /// Names the invalid key.
     pub fn new(
         backbone: &Backbone,
         in_channels: usize,
