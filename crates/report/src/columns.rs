@@ -5,7 +5,7 @@ use crate::table::rows;
 /// Placeholder of a missing value in tables.
 const MISSING: &str = "-";
 
-/// A section: its heading and its named values; none where a value does not apply.
+/// A section: heading and named values; `None` for values that do not apply.
 pub type Section<'a> = (&'a str, Vec<(&'a str, Option<String>)>);
 
 /// A column of values, such as those of a run.
@@ -16,7 +16,7 @@ pub struct Column<'a> {
     pub sections: Vec<Section<'a>>,
 }
 
-/// A line across all columns: index and heading of its section, name, values.
+/// A line across all columns: index and heading of the section, name, values.
 struct Line<'a> {
     section: usize,
     heading: &'a str,
@@ -24,7 +24,7 @@ struct Line<'a> {
     values: Vec<Option<&'a str>>,
 }
 
-/// All columns as a table with a line for each value.
+/// All columns as a table with one line per value.
 pub fn columns_table(columns: &[Column<'_>]) -> String {
     let mut all = vec![vec![String::new()]];
     all[0].extend(columns.iter().map(|column| column.label.clone()));
@@ -42,7 +42,7 @@ pub fn columns_table(columns: &[Column<'_>]) -> String {
     rows(all)
 }
 
-/// All columns as CSV with a line for each value: section heading and name under `heads`, then the
+/// All columns as CSV with one line per value: section heading and name under `heads`, then the
 /// values. A missing value is an empty field.
 pub fn columns_csv(heads: [&str; 2], columns: &[Column<'_>]) -> String {
     let mut csv = csv::Writer::from_writer(Vec::new());
@@ -58,7 +58,7 @@ pub fn columns_csv(heads: [&str; 2], columns: &[Column<'_>]) -> String {
     String::from_utf8(bytes).expect("text")
 }
 
-/// Each name of a section once, in order of first appearance.
+/// The lines of all sections; each name occurs once, in order of first appearance.
 fn lines<'a>(columns: &'a [Column<'a>]) -> Vec<Line<'a>> {
     let mut lines = Vec::new();
     let sections = columns.first().map_or(0, |column| column.sections.len());

@@ -72,9 +72,9 @@ pub enum ExportError {
     Encoder {
         /// The file that was to be written.
         out: PathBuf,
-        /// Its exit status.
+        /// Exit status of `ffmpeg`.
         status: String,
-        /// The end of its messages.
+        /// The last lines of its messages.
         last_lines: String,
     },
 }

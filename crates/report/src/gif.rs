@@ -8,20 +8,20 @@ use crate::export::{self, ExportError};
 use crate::raster::{Image, PALETTE, Painter, square_side};
 use crate::scene::Scene;
 
-/// Most frames per second; faster motion is resampled.
+/// Maximum frames per second; faster motion is resampled.
 const MOST_FPS: f64 = 20.0;
 /// Index of unchanged pixels.
 const UNCHANGED: u8 = PALETTE.len() as u8;
-/// Pixels of a single object, and of each of several.
+/// Size in pixels of a single object, and of each of several objects.
 const ALONE: (u32, u32) = (400, 360);
 const BESIDE: (u32, u32) = (320, 340);
 
 /// Writes a scene as an endlessly repeated GIF. Each picture contains only the changes. Delays are
-/// whole hundredths of a second whose rounding errors cancel, so the total length is exact. `stop`
+/// whole hundredths of a second; their rounding errors cancel, so the total length is exact. `stop`
 /// is called before each picture.
 ///
 /// # Errors
-/// Those of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::Write`];
+/// The errors of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::Write`];
 /// [`ExportError::Interrupted`] once `stop` returns true.
 pub fn write(scene: &Scene, out: &Path, stop: &dyn Fn() -> bool) -> Result<(), ExportError> {
     export::check(scene, out)?;
@@ -45,7 +45,7 @@ pub(crate) fn size(scene: &Scene) -> (u32, u32) {
     }
 }
 
-/// Time and delay in hundredths of a second of each picture.
+/// Time of each picture, and its delay in hundredths of a second.
 fn timing(scene: &Scene) -> Vec<(f64, u16)> {
     let fps = (1.0 / scene.frame_seconds()).min(MOST_FPS);
     let count = ((scene.seconds() * fps - 1e-6).ceil() as usize).max(1);
@@ -53,14 +53,14 @@ fn timing(scene: &Scene) -> Vec<(f64, u16)> {
     let ends = (1..=count).map(|k| hundredths((k as f64 / fps).min(scene.seconds())));
     let starts = (0..count).map(|k| k as f64 / fps);
     let delays = starts.zip(ends).map(|(start, end)| {
-        // Most programs show delays below two hundredths as a tenth.
+        // Most programs replace delays below two hundredths of a second by a tenth.
         let delay = end.saturating_sub(hundredths(start)).max(2);
         (start, delay.min(u64::from(u16::MAX)) as u16)
     });
     delays.collect()
 }
 
-/// The file; none if stopped.
+/// The file; `None` if stopped.
 fn encode(
     scene: &Scene,
     size: (u32, u32),
@@ -85,7 +85,7 @@ fn encode(
             Some(before) => difference(before, &now, width.into()),
         };
         match (changed, &mut waiting) {
-            // An unchanged picture extends the delay of the one before.
+            // An unchanged picture extends the previous picture's delay.
             (None, Some(frame)) if frame.delay.checked_add(delay).is_some() => frame.delay += delay,
             (changed, _) => {
                 let mut frame = changed.unwrap_or_else(|| Frame {
@@ -107,7 +107,7 @@ fn encode(
     Ok(Some(bytes))
 }
 
-/// A picture that stays below the next one.
+/// A picture that remains below the next picture.
 fn picture(indices: Vec<u8>, width: u16, height: u16) -> Frame<'static> {
     Frame {
         width,
@@ -118,7 +118,7 @@ fn picture(indices: Vec<u8>, width: u16, height: u16) -> Frame<'static> {
     }
 }
 
-/// The bounding box of all changes, if there are any.
+/// The bounding box of all changes, if any.
 fn difference(before: &[u8], now: &[u8], width: usize) -> Option<Frame<'static>> {
     let rows = || before.chunks_exact(width).zip(now.chunks_exact(width));
     let top = rows().position(|(a, b)| a != b)?;
@@ -140,7 +140,8 @@ fn difference(before: &[u8], now: &[u8], width: usize) -> Option<Frame<'static>>
     })
 }
 
-/// The palette index of each pixel. `known` caches the index of each colour of five bits a channel.
+/// The palette index of each pixel. `known` caches the index of each color with five bits per
+/// channel.
 fn indices(image: &Image, known: &mut [Option<u8>]) -> Vec<u8> {
     let pixels = image.rgb.chunks_exact(3).map(|pixel| {
         let bits = pixel.iter().map(|value| usize::from(value >> 3));
@@ -217,7 +218,7 @@ mod tests {
             let far = pixels.filter(|(shown, pixel)| {
                 shown.iter().zip(*pixel).any(|(a, b)| a.abs_diff(*b) > 40)
             });
-            // Softened edges between two colours are far from the palette.
+            // Anti-aliased edges between two colors are far from the palette.
             let far = far.count();
             assert!(far < 120 * 100 / 50, "{far} pixels of frame {frame}");
         }

@@ -17,15 +17,15 @@ const ENCODER: &str = "ffmpeg";
 const FPS: u32 = 30;
 /// Pixels of a video relative to a GIF, along each side.
 const SCALE: u32 = 2;
-/// Lines of ffmpeg in an error.
+/// Number of ffmpeg's lines in an error.
 const LAST_LINES: usize = 4;
 
-/// Writes a scene as an MP4 file (H.264, and AAC with a song) through the `ffmpeg` on the PATH. A
-/// song shorter than the motion is followed by silence. `stop` is called before each picture.
+/// Writes a scene as an MP4 file (H.264, and AAC with a song) through the `ffmpeg` on the PATH.
+/// Silence follows a song that is shorter than the motion. `stop` is called before each picture.
 ///
 /// # Errors
-/// Those of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::NoEncoder`] without
-/// ffmpeg, [`ExportError::Encoder`] if it fails; [`ExportError::Write`];
+/// The errors of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::NoEncoder`]
+/// without ffmpeg; [`ExportError::Encoder`] if ffmpeg fails; [`ExportError::Write`];
 /// [`ExportError::Interrupted`] once `stop` returns true.
 pub fn write(scene: &Scene, out: &Path, stop: &dyn Fn() -> bool) -> Result<(), ExportError> {
     write_by(OsStr::new(ENCODER), scene, out, stop)
@@ -93,7 +93,7 @@ fn encode(
         .stdin(Stdio::piped())
         .stdout(Stdio::null())
         .stderr(Stdio::piped());
-    // Ctrl-C reaches only this process, which then ends ffmpeg.
+    // Ctrl-C reaches only this process, and this process ends ffmpeg.
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
     let child = command.spawn();
@@ -105,7 +105,7 @@ fn encode(
         });
     }
     let status = match status {
-        // A program that closes its input early explains that on exit.
+        // A program that closes its input early reports the reason on exit.
         Ok(status) if status.success() && taken && film.exists() => return Ok(()),
         Ok(status) => status.to_string(),
         Err(reason) => reason.to_string(),
@@ -117,7 +117,7 @@ fn encode(
     })
 }
 
-/// Feeds the pictures; returns exit status, messages, and whether all were taken.
+/// Feeds the pictures; returns exit status, messages, and true if the program took all pictures.
 fn feed(
     child: &mut Child,
     painter: &Painter<'_>,
@@ -126,7 +126,7 @@ fn feed(
 ) -> (std::io::Result<std::process::ExitStatus>, String, bool) {
     let mut pictures = child.stdin.take().expect("it is piped");
     let mut errors = child.stderr.take().expect("it is piped");
-    // Its messages are read in parallel, or it would block.
+    // Unread messages would block the program, so a thread reads the messages.
     let messages = thread::spawn(move || {
         let mut messages = Vec::new();
         let _ = errors.read_to_end(&mut messages);
@@ -192,7 +192,7 @@ mod tests {
     use super::*;
     use crate::scene::tests::{body, dancer};
 
-    /// A program in place of ffmpeg.
+    /// A program that replaces ffmpeg.
     fn stand_in(folder: &Path, script: &str) -> PathBuf {
         let path = folder.join("encoder");
         fs::write(&path, format!("#!/bin/sh\n{script}\n")).unwrap();
@@ -226,8 +226,8 @@ mod tests {
     fn the_encoder_gets_all_pictures_and_the_song() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("dance.mp4");
-        // It writes its other arguments, the song and the size of the pictures to its last
-        // argument.
+        // The script writes its other arguments, the song and the size of the pictures to the file
+        // of the last argument.
         let script = "for last; do :; done\nout=${last#file:}\n\
                       { echo \"$@\"; cat \"${out%film.tmp}song.tmp\"; echo; wc -c; } > \"$out\"";
         let program = stand_in(folder.path(), script);
@@ -250,7 +250,7 @@ mod tests {
         let out = folder.path().join("dance.mp4");
         fs::write(&out, "an older film").unwrap();
         for (script, messages) in [
-            // An incomplete file, and unread pictures.
+            // The script leaves an incomplete file and unread pictures.
             (
                 "for last; do :; done\necho half > \"${last#file:}\"\necho Unknown encoder >&2\nexit 8",
                 "Unknown encoder",
@@ -278,7 +278,7 @@ mod tests {
     fn stopping_leaves_no_file_and_no_encoder() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("dance.mp4");
-        // It reads all pictures and continues for a minute.
+        // The script reads all pictures and continues for a minute.
         let script =
             "for last; do :; done\necho half > \"${last#file:}\"\ncat > /dev/null\nexec sleep 60";
         let program = stand_in(folder.path(), script);

@@ -18,7 +18,7 @@ pub struct Scene {
     pub song: Option<Song>,
 }
 
-/// A moving object: a body, or a lone root. Metres, +y up.
+/// A moving object: a body, or a lone root. Units are meters, +y is up.
 #[derive(Clone, Debug, Default)]
 pub struct SceneObject {
     /// Its name.
@@ -31,18 +31,18 @@ pub struct SceneObject {
     pub joint_names: Vec<String>,
     /// The parent of each joint.
     pub parents: Vec<Option<usize>>,
-    /// Orientations (w, x, y, z) of a lone root, one per frame, which is then shown as an oriented
-    /// body.
+    /// Orientations (w, x, y, z) of a lone root, one per frame. A lone root with orientations is
+    /// shown as an oriented body.
     pub orientations: Option<Vec<[f32; 4]>>,
     /// Ground contacts.
     pub contacts: Vec<Contact>,
     /// Curves over time.
     pub curves: Vec<Curves>,
-    /// Origins of its frames, if it was made of examples.
+    /// Source frames, for a motion made from examples.
     pub origins: Option<Origins>,
 }
 
-/// Origins of the frames of a motion made of examples.
+/// Source frames of a motion made from examples.
 #[derive(Clone, Debug, Default)]
 pub struct Origins {
     /// Name and number of frames of each example.
@@ -51,12 +51,13 @@ pub struct Origins {
     pub parts: Vec<PartOrigins>,
 }
 
-/// Origins of a part of the body.
+/// Source frames of a part of the body.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct PartOrigins {
     /// Its name.
     pub name: String,
-    /// Consecutive frames of an example: first frame, example, first frame in it, number of frames.
+    /// Consecutive frames of an example: first frame, example, first frame in the example, number
+    /// of frames.
     pub runs: Vec<[usize; 4]>,
 }
 
@@ -94,7 +95,7 @@ pub struct Floor {
 /// Music of a motion.
 #[derive(Clone, Debug)]
 pub struct Song {
-    /// Media type of the file, such as `audio/mpeg`.
+    /// Media type of the file, for example `audio/mpeg`.
     pub media_type: &'static str,
     /// The file.
     pub bytes: Vec<u8>,
@@ -177,7 +178,7 @@ impl SceneObject {
     pub(crate) fn pose(&self, seconds: f64) -> Pose {
         let last = self.frames().saturating_sub(1);
         let place = (seconds * self.fps).clamp(0.0, last as f64);
-        // Times of frames survive the division by the frame rate.
+        // Tolerates rounding in the division by the frame rate.
         let is_frame = (place - place.round()).abs() < 1e-6;
         let place = if is_frame { place.round() } else { place };
         let (from, part) = (place.floor() as usize, (place - place.floor()) as f32);
@@ -236,7 +237,7 @@ impl SceneObject {
     }
 }
 
-/// The normalised quaternion (w, x, y, z); the identity if it has no norm.
+/// The normalized quaternion (w, x, y, z); the identity for zeros.
 pub(crate) fn normalised(q: [f32; 4]) -> [f32; 4] {
     let norm = q.iter().map(|part| part * part).sum::<f32>().sqrt();
     match norm.is_finite() && norm > 1e-12 {

@@ -3,7 +3,7 @@
 use tabled::builder::Builder;
 use tabled::settings::{Alignment, Style, object::Columns};
 
-/// A plain table whose first row is the header; columns after the first are right-aligned.
+/// A plain table with a header as the first row; columns after the first are right-aligned.
 pub fn rows<R>(rows: impl IntoIterator<Item = R>) -> String
 where
     R: IntoIterator,
@@ -20,7 +20,7 @@ where
     table.to_string()
 }
 
-/// [`rows`] under a header.
+/// [`rows`] below a header.
 pub fn table<const N: usize>(
     header: [&str; N],
     body: impl IntoIterator<Item = [String; N]>,

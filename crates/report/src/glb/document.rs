@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use crate::scene::bounds;
 
-/// Component types and buffer targets, by their numbers in the specification.
+/// Component types and buffer targets, as numbered in the specification.
 const FLOAT: u32 = 5126;
 const UNSIGNED_SHORT: u32 = 5123;
 const UNSIGNED_INT: u32 = 5125;
@@ -46,7 +46,7 @@ impl Document {
         self.array(bytes.collect(), rows.len(), (FLOAT, shape), target)
     }
 
-    /// [`floats`](Self::floats) with the lowest and the highest number of each component.
+    /// [`floats`](Self::floats) with the minimum and maximum of each component.
     pub fn ranged<const N: usize>(&mut self, rows: &[[f32; N]], target: Option<u32>) -> usize {
         let accessor = self.floats(rows, target);
         let [low, high] = bounds(rows);

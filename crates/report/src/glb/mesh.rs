@@ -9,9 +9,9 @@ use super::rig::Rig;
 use super::rotation::Rotation;
 use crate::scene::{BODY, SceneObject};
 
-/// Corners around a capsule.
+/// Number of corners around a capsule.
 const SIDES: u32 = 10;
-/// Rings of each of its round ends.
+/// Number of rings in each round end of a capsule.
 const RINGS: u32 = 3;
 /// Radius in metres of a lone root without orientation.
 const BALL: f32 = 0.08;
@@ -29,7 +29,7 @@ pub(super) struct Mesh {
 }
 
 impl Mesh {
-    /// A capsule over every bone, in the bind pose, moved by the node of the bone.
+    /// A capsule over every bone in the bind pose, moved by the bone's node.
     pub fn skin(object: &SceneObject, rig: &Rig, bind: &[[f32; 3]]) -> Self {
         let mut mesh = Self::default();
         let places: Vec<[f32; 3]> = rig.joints.iter().map(|node| bind[*node]).collect();
@@ -99,7 +99,7 @@ impl Mesh {
         let along = [0, 1, 2].map(|axis| f64::from(to[axis] - from[axis]));
         let turn = Rotation::between([0.0, 1.0, 0.0], along);
         let first = self.places.len() as u32;
-        // Rings from pole to pole; each end has its own equator.
+        // Rings from pole to pole; each end has a separate equator.
         let rings = 2 * (RINGS + 1);
         for ring in 0..rings {
             let (end, step) = if ring <= RINGS {

@@ -1,16 +1,17 @@
 //! Binary glTF 2.0: a scene as animated skeletons with a simple skin, for Blender, game engines and
 //! web viewers.
 //!
-//! Metres, +y up, bodies face +z, as glTF prescribes. Each object is a tree of nodes below a node of
-//! the object's name, whose translation puts objects side by side. Every joint is a node of its name.
-//! The bind pose is the first frame with identity rotations.
+//! Units are meters, +y is up, and bodies face +z, as glTF prescribes. Each object is a tree of
+//! nodes below a node with the object's name; the translation of this node puts objects side by
+//! side. Every joint is a node with the joint's name. The bind pose is the first frame with
+//! identity rotations.
 //!
 //! Positions do not determine rotations. Each joint gets the shortest rotation, relative to its
-//! parent's, that points the bone at its child. A joint with several children gets the rotation that
-//! fits them best; each of its bones begins with an extra node in the same place, named as
-//! `pelvis_to_left_hip`, which adds the remaining rotation. If a bone changes its length, the
-//! translation of the joint at its end is animated too, so joints are exact in every frame.
-//! Interpolation between frames is linear.
+//! parent's rotation, that points the bone at its child. A joint with several children gets the
+//! best-fitting rotation. Each bone of this joint begins with an extra node at the same position,
+//! which adds the remaining rotation and has a name like `pelvis_to_left_hip`. If a bone changes
+//! its length, the translation of its end joint is animated too, so joints are exact in every
+//! frame. Interpolation between frames is linear.
 //!
 //! A lone root with an orientation is a node with a box.
 
@@ -29,13 +30,13 @@ use document::{Document, push};
 use mesh::Mesh;
 use rig::Rig;
 
-/// Metres between objects that stand side by side.
+/// Gap between objects side by side, meters.
 const GAP: f32 = 1.0;
 
 /// Writes a scene as a binary glTF file.
 ///
 /// # Errors
-/// Those of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::Write`].
+/// The errors of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::Write`].
 pub fn write(scene: &Scene, out: &Path) -> Result<(), ExportError> {
     export::check(scene, out)?;
     export::write(out, &encode(scene))
@@ -56,7 +57,7 @@ fn width(object: &SceneObject) -> f32 {
     x().fold(f32::MIN, f32::max) - x().fold(f32::MAX, f32::min)
 }
 
-/// Adds an object: a node for itself, the nodes of its joints, their animation and a mesh.
+/// Adds an object: a node for the object, nodes for its joints, an animation and a mesh.
 fn add(document: &mut Document, object: &SceneObject, place: [f32; 3]) {
     let rig = Rig::new(object);
     let first = document.nodes.len() + 1;
@@ -83,7 +84,7 @@ fn add(document: &mut Document, object: &SceneObject, place: [f32; 3]) {
     add_mesh(document, object, &rig, first, place);
 }
 
-/// Adds the animation of nodes that move; `first` is the node of the first joint.
+/// Adds the animation of moving nodes; `first` is the node of the first joint.
 fn animate(document: &mut Document, object: &SceneObject, rig: &Rig, first: usize) {
     let times = (0..object.frames()).map(|frame| [(frame as f64 / object.fps) as f32]);
     let times = document.ranged(&times.collect::<Vec<_>>(), None);

@@ -3,7 +3,7 @@
 use super::rotation::Rotation;
 use crate::scene::SceneObject;
 
-/// Deviation in metres below which a translation counts as constant: bones of fixed length need no
+/// Deviation in meters below which a translation counts as constant: bones of fixed length need no
 /// animation.
 const STILL: f64 = 5e-6;
 
@@ -19,11 +19,11 @@ pub(super) struct Rig {
 pub(super) struct RigNode {
     pub name: String,
     pub parent: Option<usize>,
-    /// The joint that this node points at, if it is a single one.
+    /// The joint that this node points at, if single.
     pub bone_to: Option<usize>,
-    /// The joints that its rotation fits.
+    /// The joints that the node's rotation fits.
     fits: Vec<usize>,
-    /// The joint at its position.
+    /// The joint at the node's position.
     at: usize,
     /// Within the parent, one per frame.
     pub translations: Vec<[f32; 3]>,
@@ -41,7 +41,7 @@ impl Rig {
         rig
     }
 
-    /// The nodes without animation, parents first in any joint order.
+    /// The nodes without animation. Parents come first for any joint order.
     fn tree(object: &SceneObject) -> Self {
         let children = |joint: usize| -> Vec<usize> {
             let all = 0..object.joints();
@@ -87,7 +87,7 @@ impl Rig {
         Self { nodes, joints }
     }
 
-    /// Adds a frame; `before` are the world rotations of all nodes in the previous frame.
+    /// Adds a frame; `before` has the world rotations of all nodes in the previous frame.
     fn pose(&mut self, object: &SceneObject, frame: usize, before: &mut [Rotation]) {
         let place = |frame: usize, joint: usize| object.joint(frame, joint).map(f64::from);
         let bone = |frame: usize, from: usize, to: usize| {
@@ -132,7 +132,7 @@ impl Rig {
         }
     }
 
-    /// Node positions in the bind pose, the first frame, with the object at `place`.
+    /// Node positions in the bind pose (the first frame), with the object at `place`.
     pub fn bind(&self, place: [f32; 3]) -> Vec<[f32; 3]> {
         let mut places: Vec<[f32; 3]> = Vec::with_capacity(self.nodes.len());
         for node in &self.nodes {

@@ -1,4 +1,4 @@
-//! Rotations in double precision, for exact ends of joint chains.
+//! Rotations in double precision, so that ends of joint chains are exact.
 
 use crate::scene::cross;
 
@@ -6,13 +6,13 @@ use crate::scene::cross;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Rotation(pub [f64; 4]);
 
-/// Most iterations of the search for the best rotation.
+/// Maximum iterations of the search for the best rotation.
 const STEPS: usize = 60;
 
 impl Rotation {
     pub const IDENTITY: Self = Self([1.0, 0.0, 0.0, 0.0]);
 
-    /// The normalised quaternion; the identity if it has no norm.
+    /// The normalized quaternion; the identity for zeros.
     pub fn unit(parts: [f64; 4]) -> Self {
         let norm = parts.iter().map(|part| part * part).sum::<f64>().sqrt();
         match norm.is_finite() && norm > 1e-12 {
@@ -63,7 +63,7 @@ impl Rotation {
         [0, 1, 2].map(|i| v[i] + 2.0 * (w * once[i] + twice[i]))
     }
 
-    /// The shortest rotation between two directions; the identity if one has no length.
+    /// The shortest rotation between two directions; the identity if a direction has no length.
     pub fn between(from: [f64; 3], to: [f64; 3]) -> Self {
         let lengths = dot(from, from).sqrt() * dot(to, to).sqrt();
         if lengths < 1e-12 {
@@ -82,8 +82,8 @@ impl Rotation {
         Self::unit([1.0 + cosine, x, y, z])
     }
 
-    /// The rotation that fits directions at rest to their targets, least squares; degrees of
-    /// freedom left open stay as in `before`.
+    /// The least-squares rotation of directions at rest to their targets; undetermined degrees of
+    /// freedom stay as in `before`.
     ///
     /// Source: P. Davenport's q-method for G. Wahba's problem (SIAM Review 7(3), 1965): the
     /// quaternion is the eigenvector of the largest eigenvalue of a symmetric matrix, found by
@@ -113,8 +113,8 @@ impl Rotation {
                 k[i + 1][j + 1] = b[i][j] + b[j][i] - if i == j { trace } else { 0.0 };
             }
         }
-        // Eigenvalues lie within plus or minus the weight: shifted, the largest has the largest
-        // magnitude. The share of `before` decides between equally good rotations.
+        // Eigenvalues lie within plus or minus the weight; after the shift, the largest eigenvalue
+        // has the largest magnitude. The share of `before` decides between equally good rotations.
         for (i, row) in k.iter_mut().enumerate() {
             row[i] += weight;
             for (j, entry) in row.iter_mut().enumerate() {
@@ -123,7 +123,7 @@ impl Rotation {
         }
         let mut q = before.0;
         for _ in 0..STEPS {
-            // Precise enough: the nodes of the bones correct the rest.
+            // The bones' nodes correct the remaining error.
             let next = k.map(|row| row.iter().zip(q).map(|(a, b)| a * b).sum());
             let next = Self::unit(next).0;
             let moved: f64 = next.iter().zip(q).map(|(a, b)| (a - b).abs()).sum();

@@ -7,7 +7,7 @@ use super::rotation::{Rotation, dot};
 use super::*;
 use crate::scene::tests::{body, dancer};
 
-/// A chain with a fork whose bones keep their lengths, and one bone that does not.
+/// A chain with a fork; all bones except one keep their lengths.
 fn walker(frames: usize) -> SceneObject {
     let parents = [None, Some(0), Some(1), Some(1), Some(2), Some(0), Some(5)];
     let bones = [
@@ -54,19 +54,19 @@ fn walker(frames: usize) -> SceneObject {
     }
 }
 
-/// Moments and values.
+/// Times and values.
 type Track = (Vec<f32>, Vec<[f32; 4]>);
 
-/// A file as a program reads it that knows nothing of how it was made.
+/// A file as read by an independent program.
 struct Reader {
     gltf: Gltf,
-    /// Moments and values by node and whether it is a rotation.
+    /// Times and values by node; the flag is true for rotations.
     tracks: HashMap<(usize, bool), Track>,
 }
 
 impl Reader {
     fn new(bytes: &[u8]) -> Self {
-        // It checks the document by the rules of the format.
+        // Parsing checks the document by the rules of the format.
         let gltf = Gltf::from_slice(bytes).expect("a valid file");
         let blob = gltf.blob.clone().expect("with a buffer");
         let mut tracks = HashMap::new();
@@ -88,7 +88,7 @@ impl Reader {
         Self { gltf, tracks }
     }
 
-    /// Place and rotation in the world of the nodes of the object with this name, by node name.
+    /// World position and rotation of an object's nodes, by node name.
     fn world(&self, object: &str, frame: usize) -> HashMap<String, ([f64; 3], Rotation)> {
         let scene = self.gltf.default_scene().unwrap();
         let root = scene
@@ -167,7 +167,7 @@ fn bones_of_fixed_length_only_turn() {
     }
     moved.sort();
     assert_eq!(moved, ["hips", "left_hand"]);
-    // The root turns with the body; ends of chains turn with what they hang from.
+    // The root turns with the body; ends of chains turn with their parents.
     let turned = |name: &str| {
         let node = reader
             .gltf

@@ -3,7 +3,7 @@
 use super::{Cell, Table};
 
 /// The table of a CSV file with a header, as [`columns_csv`](crate::columns_csv) writes it: lines
-/// are grouped by their first field, which is omitted where it is empty. `None` for other text.
+/// are grouped by their first field; empty first fields are omitted. `None` for other text.
 pub fn csv_table(text: &str) -> Option<Table> {
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let header = reader.headers().ok()?.clone();

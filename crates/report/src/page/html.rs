@@ -9,7 +9,7 @@ use crate::viewer::{self, CONTENT_SECURITY_POLICY};
 /// Style sheet.
 const STYLE: &str = include_str!("style.css");
 
-/// Length of a cell above which its column is text.
+/// Length of a cell above which the column is text.
 const WORDS: usize = 24;
 
 /// The page as HTML.

@@ -30,7 +30,7 @@ pub struct Page {
 pub struct Section {
     /// The heading.
     pub title: String,
-    /// Its blocks.
+    /// The blocks of the section.
     pub blocks: Vec<Block>,
 }
 
@@ -69,9 +69,9 @@ pub struct Table {
 /// A cell of a table.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cell {
-    /// Its text.
+    /// The text of the cell.
     pub text: String,
-    /// Its tone.
+    /// The tone of the cell.
     pub tone: Tone,
 }
 

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-/// True if a value can be drawn: with larger values the loop over ticks would not end.
+/// True if a value can be drawn: for larger values, the loop over ticks would not end.
 pub(super) fn can_be_drawn(value: f64) -> bool {
     value.abs() <= 1e30
 }

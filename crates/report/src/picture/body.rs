@@ -3,24 +3,24 @@
 use super::panel::{Kind, Panel, Pose};
 use crate::scene::{Floor, SceneObject};
 
-/// Root motion in metres from which poses are drawn in place.
+/// Root motion in meters above which poses are drawn along the trajectory.
 const ALONG: f64 = 2.0;
 
-/// Least distance of poses along a trajectory, metres.
+/// Minimum distance of poses along a trajectory, meters.
 const BETWEEN: f64 = 0.6;
 
-/// Most poses along a trajectory.
+/// Maximum number of poses along a trajectory.
 const MOST: usize = 12;
 
-/// Number and distance (metres) of poses drawn side by side.
+/// Number and distance (meters) of poses drawn side by side.
 const BESIDE: usize = 8;
 const APART: f64 = 1.1;
 
 /// Sides of a polygon that approximates a disc.
 const SIDES: usize = 48;
 
-/// The poses of a body, its trajectory in top view with the floor, and its ground contacts; of a
-/// lone root only the trajectory.
+/// The poses of a body, its trajectory in top view with the floor, and its ground contacts. A lone
+/// root has only the trajectory.
 pub fn body_panels(object: &SceneObject, floor: &Floor) -> Vec<Panel> {
     let panels = poses(object).into_iter().chain([path(object, floor)]);
     panels.chain(contacts(object)).collect()
@@ -64,7 +64,7 @@ fn contacts(object: &SceneObject) -> Option<Panel> {
     any.then(|| Panel::strip("on the ground", object.fps, tracks))
 }
 
-/// Evenly spaced poses, in place if the body moves, else side by side.
+/// Evenly spaced poses: along the trajectory if the body travels, else side by side.
 fn poses(object: &SceneObject) -> Option<Panel> {
     if object.joints() < 2 || object.frames() == 0 {
         return None;
@@ -147,7 +147,7 @@ fn direction(object: &SceneObject) -> [f64; 2] {
 mod tests {
     use super::*;
 
-    /// A mast of one metre that moves along z by `step` metres a frame.
+    /// A mast of one meter that moves along z by `step` meters per frame.
     fn mast(step: f32) -> SceneObject {
         let frames = (0..20).flat_map(|t| {
             let z = step * t as f32;

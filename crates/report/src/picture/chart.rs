@@ -20,7 +20,7 @@ const MARGIN: u32 = 8;
 /// Height of the labels below the plot, pixels.
 const X_LABELS: u32 = 26;
 
-/// Width of the labels left of the plot, pixels: numbers, or row names.
+/// Width of the labels left of the plot in pixels, for numbers and for row names.
 const Y_LABELS: u32 = 48;
 const ROW_NAMES: u32 = 96;
 
@@ -87,7 +87,7 @@ pub(super) fn draw_panel<B: DrawingBackend<ErrorType: 'static>>(
     }
     for (index, (_, points)) in panel.series().iter().enumerate() {
         let style = colour(index).stroke_width(stroke);
-        // A line is interrupted where a point cannot be drawn.
+        // A point that cannot be drawn interrupts the line.
         for line in points.split(|(x, y)| !(can_be_drawn(*x) && can_be_drawn(*y))) {
             chart.draw_series(LineSeries::new(line.iter().copied(), style))?;
         }
@@ -101,7 +101,7 @@ pub(super) fn draw_panel<B: DrawingBackend<ErrorType: 'static>>(
     draw_marks(&chart, area, &panel.marks, &x)
 }
 
-/// Ranges of the axes of a plot with the aspect `ratio`, width to height.
+/// Axis ranges of a plot with the aspect `ratio`, width to height.
 fn ranges(panel: &Panel, ratio: f64) -> (Range<f64>, Range<f64>) {
     let across = || bounds(panel.places().map(|place| place.0));
     let up = || bounds(panel.places().map(|place| place.1));

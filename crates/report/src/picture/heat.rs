@@ -4,7 +4,7 @@ use plotters::prelude::*;
 
 use super::axes::{can_be_drawn, extremes};
 
-/// Most cells of a heat map along each axis.
+/// Maximum number of cells of a heat map along each axis.
 const CELLS: (usize, usize) = (480, 64);
 
 /// The rectangles of a heat map; cells are averaged if there are too many.

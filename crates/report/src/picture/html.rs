@@ -1,5 +1,5 @@
-//! Panels as SVG elements, styled by their page: curves are smoothed, and axes logarithmic, as
-//! needed.
+//! Panels as SVG elements, styled by their page. Noisy curves are smoothed; axes are logarithmic
+//! for large ranges.
 
 use std::ops::Range;
 
@@ -14,10 +14,10 @@ const RIGHT: f64 = 12.0;
 const TOP: f64 = 10.0;
 const BOTTOM: f64 = 30.0;
 
-/// Parts of a long curve, each drawn by its lowest and highest value.
+/// Number of parts of a long curve; each part is drawn by its lowest and highest value.
 const PARTS: usize = 300;
 
-/// A curve is noisy, and is smoothed, if its total variation exceeds its range by this factor.
+/// A curve is noisy, and is smoothed, if the ratio of total variation and range exceeds this value.
 const NOISY: f64 = 5.0;
 
 /// Time constant of smoothing, as a part of the curve.
@@ -37,7 +37,7 @@ struct Frame {
 }
 
 impl Panel {
-    /// True if no point of its curves can be drawn.
+    /// True if no point of the curves can be drawn.
     pub fn is_empty(&self) -> bool {
         self.curves().next().is_none()
     }
@@ -51,7 +51,7 @@ impl Panel {
         curves.filter(|(_, points): &(_, Vec<_>)| !points.is_empty())
     }
 
-    /// Its curves as HTML: title, legend, SVG.
+    /// The curves as HTML: title, legend, SVG.
     pub(crate) fn html(&self) -> String {
         let lines: Vec<_> = self.curves().collect();
         let frame = Frame::of(lines.iter().flat_map(|(_, points)| points));
@@ -170,7 +170,7 @@ fn ticks(range: &Range<f64>, about: f64) -> (f64, Vec<f64>) {
     (step, numbers.collect())
 }
 
-/// Powers of ten in a range of exponents, with 2 and 5 times them where there are few.
+/// Powers of ten in a range of exponents; a short range also has 2 and 5 times the powers.
 fn powers(range: &Range<f64>) -> Vec<f64> {
     let (first, last) = (range.start.ceil() as i64, range.end.floor() as i64);
     if last - first < 2 {

@@ -15,7 +15,7 @@ const LINE: i32 = 15;
 /// Length of the stroke before a name, pixels.
 const STROKE: i32 = 12;
 
-/// From the edges of the panel, pixels.
+/// Distance from the edges of the panel, pixels.
 const MARGIN: i32 = 10;
 
 /// Colour of key frames and obstacles.

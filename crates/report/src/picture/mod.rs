@@ -82,7 +82,7 @@ pub fn draw(
     })
 }
 
-/// The panels as a PNG file, and its size in pixels; `None` if they cannot be drawn.
+/// The panels as a PNG file, and its size in pixels; `None` if the panels cannot be drawn.
 pub fn draw_png(
     panels: &[Panel],
     columns: usize,
@@ -102,7 +102,7 @@ struct Sheet<'a> {
 }
 
 impl<'a> Sheet<'a> {
-    /// Row by row; a wide panel fills a row.
+    /// Places the panels row by row; a wide panel fills a row.
     fn new(panels: &'a [Panel], columns: usize, (width, height): (u32, u32)) -> Self {
         let columns = columns.min(panels.len()).max(1) as u32;
         let mut placed = Vec::with_capacity(panels.len());
@@ -164,7 +164,7 @@ mod tests {
         String::from_utf8(sheet.svg().expect("drawn")).expect("text")
     }
 
-    /// The points of the first curve, after its stroke in the legend.
+    /// The points of the first curve, which follows its stroke in the legend.
     fn first_curve(svg: &str) -> Vec<(f64, f64)> {
         let of_first = |line: &&str| line.contains("<polyline") && line.contains("#2F6FED");
         let line = svg.lines().rfind(of_first);

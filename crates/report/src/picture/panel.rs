@@ -27,13 +27,13 @@ pub struct Panel {
     pub(super) kind: Kind,
     /// Positions of ticks above the plot.
     pub(super) marks: Vec<f64>,
-    /// Range of the x axis; by default that of the data with a margin.
+    /// Range of the x axis; by default, the range of the data with a margin.
     pub(super) across: Option<Range<f64>>,
     /// Named points (x, -z) of a map.
     pub(super) points: Vec<(String, (f64, f64))>,
     /// Corners (x, -z) of the regions of a map.
     pub(super) regions: Vec<Vec<(f64, f64)>>,
-    /// It fills a row.
+    /// True if the panel fills a row.
     pub(super) is_wide: bool,
 }
 
@@ -64,7 +64,7 @@ impl Panel {
         Self::of(title, x_label, Kind::Lines(series))
     }
 
-    /// Values at `fps` a second over time.
+    /// Values over time at `fps` values per second.
     pub fn over_time<'a>(
         title: impl Into<String>,
         fps: f64,
@@ -78,8 +78,8 @@ impl Panel {
         Self::lines(title, "s", series.collect())
     }
 
-    /// Paths on the floor in top view, of points (x, z) in metres: x to the right, z downwards,
-    /// with equal scales.
+    /// Paths of points (x, z) on the floor, in meters. Top view with equal scales: x to the right,
+    /// z downward.
     pub fn map(title: impl Into<String>, series: Vec<Series>) -> Self {
         let downwards = |(name, points): Series| {
             let points = points.into_iter().map(|(x, z)| (x, -z));
@@ -94,7 +94,7 @@ impl Panel {
         Self::of(title, "s", Kind::Heat { rows, width })
     }
 
-    /// The times at which named flags are true, at `fps` a second, from top to bottom.
+    /// The times at which named flags (at `fps` values per second) are true, from top to bottom.
     pub fn strip<'a>(
         title: impl Into<String>,
         fps: f64,

@@ -13,13 +13,14 @@ const NEAR: f32 = 0.1;
 /// Margin as a part of the view.
 const MARGIN: f32 = 0.1;
 
-/// A camera that looks at a target from the front at an angle. Bodies at rest face +z, towards it.
+/// A camera that looks at a target from the front at an angle. Bodies at rest face +z, towards the
+/// camera.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Camera {
     eye: [f32; 3],
     /// Right, down and forward.
     axes: [[f32; 3]; 3],
-    /// Pixels per metre at one metre.
+    /// Pixels per meter at a distance of one meter.
     focal: f32,
     centre: [f32; 2],
 }
@@ -31,7 +32,7 @@ pub(super) struct Seen {
     pub at: [f32; 2],
     /// Metres from the camera.
     pub depth: f32,
-    /// Pixels per metre there.
+    /// Pixels per meter at the point.
     pub scale: f32,
 }
 
@@ -39,7 +40,7 @@ pub(super) struct Seen {
 const NEAREST: f32 = 2.0;
 
 impl Camera {
-    /// A camera that contains all points, on a picture of `size` pixels.
+    /// A camera that shows all points in a picture of `size` pixels.
     pub fn around(points: &[[f32; 3]], size: (u32, u32)) -> Self {
         let target = middle(points);
         let free = 2.0 * MARGIN * (size.0.min(size.1) as f32);
@@ -184,7 +185,7 @@ mod tests {
             };
             let ((left, right), (top, bottom)) = (reach(0), reach(1));
             assert!(left >= 19.9 && right <= 280.1 && top >= 19.9 && bottom <= 180.1);
-            // One side is met.
+            // The points reach one side.
             let free = left.min(300.0 - right).min(top).min(200.0 - bottom);
             assert!(free < 20.5, "{free}");
         }

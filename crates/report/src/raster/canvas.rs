@@ -46,14 +46,14 @@ impl Image {
         }
     }
 
-    /// A line with round caps from `a` to `b`, in pixels, with the half widths `radii` at its ends.
+    /// A line with round caps between `ends`, in pixels, with half widths `radii` at its ends.
     pub(super) fn stroke(&mut self, ends: [[f32; 2]; 2], radii: [f32; 2], colour: [u8; 3]) {
         let [a, b] = ends;
         let finite = ends.as_flattened().iter().chain(&radii);
         if !finite.copied().all(f32::is_finite) {
             return;
         }
-        // Along the longer axis, so that few pixels beside the line are visited.
+        // Iterates along the longer axis, so that few pixels beside the line are visited.
         let main = usize::from((b[1] - a[1]).abs() > (b[0] - a[0]).abs());
         let cross = 1 - main;
         let sizes = [self.width as f32, self.height as f32];

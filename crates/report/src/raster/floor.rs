@@ -5,14 +5,14 @@ use super::canvas::Image;
 use super::palette::{GRID, KEYFRAME, OBSTACLE, PATH, TRAIL};
 use crate::scene::Floor;
 
-/// Half size of the grid in metres.
+/// Half size of the grid in meters.
 const GRID_REACH: i32 = 8;
 /// Corners of a circle.
 const CIRCLE: usize = 32;
-/// Radius of a key frame in metres, and of the current one.
+/// Radii of a key frame and of the current key frame, meters.
 const KEYFRAME_RADII: [f32; 2] = [0.09, 0.16];
 
-/// Half the width in pixels of a line of `metres`, at least half a pixel.
+/// Half the width in pixels of a line with width `metres`, at least half a pixel.
 fn half(scale: f32, metres: f32) -> f32 {
     (0.5 * scale * metres).max(0.5)
 }
@@ -42,7 +42,7 @@ fn disc(image: &mut Image, camera: &Camera, [x, z]: [f32; 2], radius: f32, colou
     }
 }
 
-/// Static marks: a grid of one metre around `middle`, the goal, and the root trajectory.
+/// Static marks: a grid of one meter around `middle`, the goal, and the root trajectory.
 pub(super) fn draw(
     image: &mut Image,
     camera: &Camera,

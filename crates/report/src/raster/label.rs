@@ -7,7 +7,7 @@ use super::canvas::Image;
 use super::palette::TEXT;
 use crate::font;
 
-/// Writes a name at the top of a cell with this corner and width in pixels.
+/// Writes a name at the top of a cell with the corner `(left, top)` and `width` pixels.
 pub(super) fn write(image: &mut Image, text: &str, (left, top): (u32, u32), width: u32) {
     let height = (width / 20).clamp(9, 16);
     font::register();

@@ -1,4 +1,4 @@
-//! Still pictures of a scene, by a small software renderer with equal results on every machine.
+//! Still pictures of a scene, from a small software renderer with equal results on every machine.
 
 mod camera;
 mod canvas;
@@ -60,7 +60,7 @@ mod tests {
             [LEFT, RIGHT].contains(&picture.rgb[at..at + 3].try_into().unwrap())
         };
         assert!((0..300).all(|x| !edge(x, 0) && !edge(x, 199)));
-        // It fills a good part of the height, though it walks.
+        // The walking body fills a good part of the height.
         let high = left[3].max(right[3]) - left[1].min(right[1]);
         assert!(high > 40, "{high}");
     }

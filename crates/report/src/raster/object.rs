@@ -7,7 +7,7 @@ use crate::scene::{BODY, Pose, SceneObject, Side, rotate};
 
 /// Length of the pointer in front, metres.
 const NOSE_LENGTH: f32 = 0.22;
-/// Corners of the six faces of a box, each by the bits of its axes (side, up, front).
+/// Corners of the six faces of a box; the bits of a corner are its axes (side, up, front).
 const FACES: [[usize; 4]; 6] = [
     [0, 2, 6, 4],
     [1, 5, 7, 3],
@@ -49,7 +49,7 @@ pub(super) fn draw(
         Some(orientation) => body(&mut parts, camera, pose.joints[0], orientation),
         None => limbs(&mut parts, camera, object, pose),
     }
-    // In front of the feet.
+    // Contacts are drawn in front of the feet.
     let contacts = standing
         .iter()
         .filter_map(|joint| camera.see(pose.joints[*joint]));

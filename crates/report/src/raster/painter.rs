@@ -10,13 +10,13 @@ use crate::scene::{Floor, Scene, SceneObject, bounds};
 const AT_REST: f32 = 6.0;
 /// Half width of the smoothing of a following camera, seconds.
 const SMOOTHING: f64 = 0.4;
-/// Most points of a drawn root trajectory.
+/// Maximum number of points of a drawn root trajectory.
 const TRAIL_POINTS: usize = 600;
-/// Most frames for measuring the size of a motion.
+/// Maximum number of frames for measuring the size of a motion.
 const MEASURED: usize = 300;
 /// Reach of a lone root along each axis, in metres.
 const LONE_REACH: f32 = 0.35;
-/// Objects in one row; more form a square.
+/// Number of objects in one row; more objects form a square.
 const ROW: u32 = 3;
 /// Smallest side of a picture, in pixels.
 const SMALLEST: u32 = 16;
@@ -176,7 +176,8 @@ fn on_ground([x, _, z]: [f32; 3]) -> [f32; 2] {
     [x, z]
 }
 
-/// Joint positions over the motion, with the reach of a lone root and the ground below the root.
+/// Joint positions over the motion, including the reach of a lone root and the ground below the
+/// root.
 fn joints(object: &SceneObject) -> impl Iterator<Item = (usize, [f32; 3])> {
     let step = object.frames().div_ceil(MEASURED).max(1);
     let is_lone = object.joints() == 1;

@@ -1,4 +1,4 @@
-//! Colours of pictures; few, so that GIF palettes are exact.
+//! Colors of pictures. The number of colors is small, so that GIF palettes are exact.
 
 pub(crate) const BACKGROUND: [u8; 3] = [255, 255, 255];
 pub(crate) const GRID: [u8; 3] = [226, 228, 232];
@@ -11,7 +11,7 @@ pub(crate) const RIGHT: [u8; 3] = [38, 112, 190];
 pub(crate) const MIDDLE: [u8; 3] = [74, 84, 102];
 /// Edges of limbs.
 pub(crate) const EDGE: [u8; 3] = [28, 32, 40];
-/// Front of an oriented body, and the pointer before it.
+/// Front of an oriented body, and the pointer in front.
 pub(crate) const FRONT: [u8; 3] = [92, 160, 222];
 pub(crate) const NOSE: [u8; 3] = [240, 168, 36];
 /// A foot on the ground.

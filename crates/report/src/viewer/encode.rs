@@ -1,22 +1,22 @@
-//! Compact text for motion and curves: quantised, predicted, compressed, base64.
+//! Compact text for motion and curves: quantized, predicted, compressed, base64.
 //!
-//! A pack contains channels over the same frames. A channel is quantised to 16 bits and stored as
-//! zigzag second differences, which are small for smooth motion, all low bytes before all high
-//! bytes, in a zlib stream. Browsers unpack it with `DecompressionStream`.
+//! A pack contains channels over the same frames. A channel is quantized to 16 bits and stored as
+//! zigzag second differences, which are small for smooth motion. In a zlib stream, all low bytes
+//! precede all high bytes. Browsers unpack the stream with `DecompressionStream`.
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use libdeflater::{CompressionLvl, Compressor};
 use serde_json::{Value, json};
 
-/// Largest quantisation error of a position along an axis, metres. Positions that spread too far
+/// Largest quantization error of a position along an axis, meters. Positions with a larger spread
 /// are stored in single precision.
 pub const POSITION_ERROR: f64 = 0.0002;
 
-/// A step that is fine enough for positions of people, metres.
+/// A step that is fine enough for positions of people, meters.
 const FINE: f64 = 0.0001;
 
-/// Least number of levels over the spread with fine steps.
+/// Minimum number of levels over the spread with fine steps.
 const LEAST_LEVELS: f64 = 8192.0;
 
 /// The level of a value that is not finite: a gap.
@@ -54,7 +54,7 @@ pub fn orientations(values: &[[f32; 4]]) -> Value {
     json!({ "kind": "u16", "channels": 4, "least": [-1.0], "step": 1.0 / 32767.0, "data": data })
 }
 
-/// Curves of `frames` values, quantised to 65534 steps between the minimum and maximum of each.
+/// Curves of `frames` values, quantized to 65534 steps between each curve's minimum and maximum.
 /// Shorter curves end early; values that are not finite are gaps.
 pub fn curves(series: &[&[f32]], frames: usize) -> Value {
     let mut levels = Vec::with_capacity(series.len() * frames);
@@ -84,7 +84,7 @@ fn by_channel<T: Copy>(rows: &[T], width: usize) -> Vec<T> {
     channels.copied().collect()
 }
 
-/// Zigzag second differences of each of `channels`, low bytes before high bytes.
+/// Zigzag second differences of each channel, low bytes before high bytes.
 fn predicted(levels: &[u16], channels: usize) -> Vec<u8> {
     let frames = levels.len() / channels.max(1);
     let mut low = Vec::with_capacity(2 * levels.len());

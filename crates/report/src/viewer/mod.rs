@@ -1,8 +1,8 @@
 //! Pages that show a [`Scene`]: 3D motion with music, curves and floor marks. A page is a
 //! self-contained file.
 //!
-//! Positions are exact to 0.2 mm (see [`encode`]). The drawing uses a 2D canvas: it needs no GPU,
-//! and any number of viewers fit on a page.
+//! Positions are exact to 0.2 mm (see [`encode`]). Drawing uses a 2D canvas and no GPU, so a page
+//! can have any number of viewers.
 
 mod encode;
 #[cfg(test)]
@@ -19,7 +19,7 @@ use crate::escape::escape;
 use crate::scene::{Contact, Origins, Scene, SceneObject, Song};
 
 /// Content security policy of pages with viewers, for `<meta
-/// http-equiv="Content-Security-Policy">`: nothing external.
+/// http-equiv="Content-Security-Policy">`: no external content.
 pub const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; \
     style-src 'unsafe-inline'; img-src data: blob:; media-src data: blob:";
 
@@ -28,8 +28,8 @@ pub fn style() -> &'static str {
     include_str!("viewer.css")
 }
 
-/// The script of viewers: it fills every [`embed`] of a loaded page and lists them in
-/// `window.kinegrad.viewers`.
+/// The script of viewers. The script fills every [`embed`] of a loaded page, and lists the viewers
+/// in `window.kinegrad.viewers`.
 pub fn script() -> &'static str {
     concat!(
         "(() => {\n\"use strict\";\n",
@@ -78,7 +78,7 @@ pub fn page(scene: &Scene) -> String {
     )
 }
 
-/// JSON without `<`, which stands only in its strings and could end the script.
+/// JSON without `<`: this character occurs only in strings and could end the script.
 fn inert(json: &Value) -> String {
     json.to_string().replace('<', "\\u003c")
 }

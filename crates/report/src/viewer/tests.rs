@@ -28,7 +28,7 @@ fn a_page_refers_to_nothing_outside_of_itself() {
         objects: vec![object("a", 9, 3)],
         ..Scene::default()
     });
-    // The name of the language of icons, which nothing loads.
+    // The namespace of SVG icons, which is never loaded.
     let page = page.replace("http://www.w3.org/2000/svg", "");
     assert!(!page.contains("http://") && !page.contains("https://"));
     assert!(!page.contains(" src=\""));
@@ -46,7 +46,7 @@ fn names_are_text_wherever_they_stand() {
     let page = page(&scene);
     assert!(!page.contains("<script>alert"));
     assert!(!page.contains("<!--"));
-    // One script of data, one of the viewer.
+    // One script of data and one script of the viewer.
     assert_eq!(page.matches("</script>").count(), 2);
     let data = scene_json(&scene, false);
     let read: Value = serde_json::from_str(&inert(&data)).unwrap();
@@ -111,7 +111,7 @@ fn origins_are_runs_of_named_examples() {
 
 #[test]
 fn four_clips_of_ten_seconds_with_seventy_joints_fit_into_a_megabyte_and_a_half() {
-    // Smooth swings with the noise of a capture.
+    // Smooth swings with capture noise.
     let mut state = 1u32;
     let mut noise = || {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);

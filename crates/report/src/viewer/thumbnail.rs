@@ -5,7 +5,8 @@ use serde_json::{Value, json};
 use super::{DATA, element, scene_json};
 use crate::scene::Scene;
 
-/// A small viewer of one or several objects: it loops while it is visible, without curves or song.
+/// A small viewer of one or several objects, without curves or song. The motion loops while
+/// visible.
 #[derive(Clone, Debug)]
 pub struct Thumbnail {
     title: String,
@@ -22,7 +23,7 @@ impl From<Scene> for Thumbnail {
 }
 
 impl Thumbnail {
-    /// A thumbnail of each object in a [page](super::page); none for other text.
+    /// A thumbnail of each object in a [page](super::page); empty for other text.
     pub fn of_page(page: &str) -> Vec<Self> {
         let data = || {
             let [begin, end] = DATA;
@@ -39,7 +40,7 @@ impl Thumbnail {
         let thumbnails = objects.unwrap_or_default().into_iter();
         let thumbnails = thumbnails.filter(Value::is_object).map(|mut object| {
             let title = object["name"].as_str().unwrap_or_default().to_owned();
-            // Omitted in small viewers.
+            // Small viewers omit these fields.
             let frames = object["frames"].as_u64().unwrap_or_default() as usize;
             object["charts"] = json!([]);
             object["curves"] = super::encode::curves(&[], frames);
