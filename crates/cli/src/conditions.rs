@@ -34,8 +34,8 @@ pub struct ConditionArguments {
     /// Known beats of the song.
     #[command(flatten)]
     pub beats: BeatArguments,
-    /// Goal of the root: key frames or a trajectory, and obstacles; several goals are sampled as one
-    /// batch
+    /// Goal of the root: key frames or a trajectory, and obstacles; several goals are sampled as
+    /// one batch
     #[arg(long, value_name = "GOAL.toml")]
     pub goal: Vec<PathBuf>,
     /// Run of recipe `gmd_trajectory` that generates the ground path first
@@ -52,7 +52,7 @@ pub struct ConditionArguments {
     /// selects row N of the tensor
     #[arg(long, value_name = "FILE#KEY")]
     pub text_embedding: Option<String>,
-    /// Joint positions `[T, J, 3]` in metres that the motion continues, for runs of recipe `flow`
+    /// Joint positions `[T, J, 3]` in meters that the motion continues, for runs of recipe `flow`
     #[arg(long, value_name = "MOTION.npy")]
     pub history: Option<PathBuf>,
     /// Sequence of texts with their lengths, for runs of recipe `flow` or `bpe_motion`

@@ -79,14 +79,14 @@ pub struct Curves {
     pub series: Vec<(String, Vec<f32>)>,
 }
 
-/// Marks on the floor. Points are `[x, z]` in metres.
+/// Marks on the floor. Points are `[x, z]` in meters.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Floor {
     /// Path to follow.
     pub path: Vec<[f32; 2]>,
     /// Frame and place of each key frame.
     pub keyframes: Vec<(usize, [f32; 2])>,
-    /// Centre and radius of each obstacle.
+    /// Center and radius of each obstacle.
     pub obstacles: Vec<([f32; 2], f32)>,
     /// Corners of each polygonal obstacle.
     pub polygons: Vec<Vec<[f32; 2]>>,
@@ -161,10 +161,10 @@ pub(crate) enum Side {
     Middle,
 }
 
-/// Half sizes of an oriented body in metres: side, up, front.
+/// Half sizes of an oriented body in meters: side, up, front.
 pub(crate) const BODY: [f32; 3] = [0.17, 0.26, 0.1];
 
-/// Largest radius of a bone in metres, and relative to its length.
+/// Largest radius of a bone in meters, and relative to its length.
 const BONE_RADIUS: (f32, f32) = (0.032, 0.25);
 
 impl SceneObject {
@@ -225,7 +225,7 @@ impl SceneObject {
         named && !self.parents.contains(&Some(joint))
     }
 
-    /// Radius in metres of the bone that ends at a joint, in a pose.
+    /// Radius in meters of the bone that ends at a joint, in a pose.
     pub(crate) fn bone_radius(&self, joint: usize, places: &[[f32; 3]]) -> f32 {
         let (most, part) = BONE_RADIUS;
         let Some(parent) = self.parents[joint] else {

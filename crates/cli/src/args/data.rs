@@ -10,8 +10,8 @@ use super::values::named;
 
 #[derive(Debug, Subcommand)]
 pub enum DataCommand {
-    /// Create a synthetic dataset: phrases that follow the beat of their audio features, or walks in
-    /// the HumanML3D layout
+    /// Create a synthetic dataset: phrases that follow the beat of their audio features, or walks
+    /// in the HumanML3D layout
     Synth(SynthArguments),
     /// Create a dataset from motion captures: phrases with their songs, or clips with captions
     Prepare(PrepareArguments),

@@ -9,7 +9,7 @@ use super::values::named;
 /// Facts that motion files do not contain.
 #[derive(Debug, Args)]
 pub struct ReadingArguments {
-    /// Unit of BVH files: m, cm, mm, inch, cmu, or a number of metres [default: guessed from the
+    /// Unit of BVH files: m, cm, mm, inch, cmu, or a number of meters [default: guessed from the
     /// height of the body]
     #[arg(long, value_parser = units)]
     pub units: Option<Units>,

@@ -50,7 +50,7 @@ pub struct ViewArguments {
     /// Write an animated skeleton as binary glTF, for Blender, game engines and web viewers
     #[arg(long, value_name = "FILE.glb")]
     pub glb: Option<PathBuf>,
-    /// Write one motion as BVH in centimetres with +y up
+    /// Write one motion as BVH in centimeters with +y up
     #[arg(long, value_name = "FILE.bvh")]
     pub bvh: Option<PathBuf>,
     /// Lock standing feet in the BVH file

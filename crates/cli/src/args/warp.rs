@@ -18,7 +18,7 @@ pub struct WarpArguments {
     /// Motion to move (.npy): joint positions or joint features
     #[arg(value_name = "MOTION.npy")]
     pub motion: PathBuf,
-    /// Path: points in metres (.toml or .csv), or a drawing (.svg)
+    /// Path: points in meters (.toml or .csv), or a drawing (.svg)
     #[arg(long, value_name = "FILE")]
     pub path: PathBuf,
     /// Output path without extension

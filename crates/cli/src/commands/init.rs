@@ -79,8 +79,8 @@ impl Template {
         }
     }
 
-    /// `text` for an installed program: without the folder `configs`, and with files of a plan beside
-    /// it.
+    /// `text` for an installed program: without the folder `configs`, and with files of a plan
+    /// beside it.
     fn outside(&self, text: &str, file: &Path) -> String {
         let itself = format!("kinegrad train configs/{}.toml", self.name);
         text.replace("cargo run --release -- ", "kinegrad ")

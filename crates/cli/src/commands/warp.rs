@@ -38,7 +38,7 @@ struct Record {
     feet: Option<Feet>,
     frames: usize,
     fps: f64,
-    /// Length of the path, metres.
+    /// Length of the path, meters.
     path_length: f64,
     /// Ratio of the root's speed after and before; 0 for a motion that stood.
     speed_ratio: f64,
@@ -51,10 +51,10 @@ struct Record {
 struct Feet {
     /// Share of the input's frames in which a foot stands.
     in_contact: f64,
-    /// Mean speed of standing feet on the path before and after, metres per second.
+    /// Mean speed of standing feet on the path before and after, meters per second.
     slid_before: f64,
     slide_after: f64,
-    /// Largest distance of a foot from its contact position, metres.
+    /// Largest distance of a foot from its contact position, meters.
     legs_short: f64,
 }
 

@@ -73,7 +73,7 @@ impl Capture {
         Ok(Self { bvh, metres, up })
     }
 
-    /// Joint positions in metres with +y up.
+    /// Joint positions in meters with +y up.
     pub fn joints(&self) -> Result<Joints, Error> {
         let world = (0..self.bvh.frames()).flat_map(|t| self.bvh.world(t));
         let metres = |place: [f64; 3]| self.up.to_y_up(place.map(|value| value * self.metres));
@@ -81,14 +81,14 @@ impl Capture {
         Ok(Joints::new(places.collect(), self.bvh.joints().len())?)
     }
 
-    /// The same motion in centimetres with +y up.
+    /// The same motion in centimeters with +y up.
     pub fn in_centimetres(&self) -> Result<Bvh, Error> {
         let converted = self.bvh.converted(CENTIMETRES * self.metres, self.up);
         converted.map_err(unusable)
     }
 }
 
-/// Joint positions as the text of a BVH file, in centimetres.
+/// Joint positions as the text of a BVH file, in centimeters.
 ///
 /// # Errors
 /// If the positions cannot be written as BVH.
@@ -96,7 +96,7 @@ pub fn bvh_text(joints: &Joints, skeleton: &Skeleton) -> Result<String, Error> {
     Ok(as_bvh(joints, skeleton)?.to_text())
 }
 
-/// Joint positions as BVH, in centimetres.
+/// Joint positions as BVH, in centimeters.
 pub fn as_bvh(joints: &Joints, skeleton: &Skeleton) -> Result<Bvh, Error> {
     Bvh::from_joints(joints, skeleton, CENTIMETRES).map_err(unusable)
 }
@@ -253,7 +253,7 @@ mod tests {
         let named: Vec<String> = ["Root".to_string()].into_iter().chain(names).collect();
         assert_eq!(up_of(&named, &afar), UpAxis::Y);
         assert_eq!(units_of(&[[0.0; 3]], UpAxis::Y), Units::Cm);
-        // Hips and head alone, in centimetres.
+        // Hips and head alone, in centimeters.
         let bust = [[0.0, 90.0, 0.0], [0.0, 102.0, 0.0]];
         assert_eq!(units_of(&bust, UpAxis::Y), Units::Cm);
         // The hips are at the origin, and the feet below.

@@ -8,10 +8,10 @@ use crate::io::is_foot;
 /// Height of a person for whom the contact thresholds hold, meters.
 const PERSON: f64 = 1.7;
 
-/// Largest height of a standing joint above its lowest position, metres.
+/// Largest height of a standing joint above its lowest position, meters.
 const LOW: f64 = 0.05;
 
-/// Largest speed of a standing joint, metres per second.
+/// Largest speed of a standing joint, meters per second.
 const SLOW: f64 = 0.4;
 
 /// The figure of a body's joints. `feet` are the joints that can stand on the ground; by default,

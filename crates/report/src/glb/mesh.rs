@@ -13,9 +13,9 @@ use crate::scene::{BODY, SceneObject};
 const SIDES: u32 = 10;
 /// Number of rings in each round end of a capsule.
 const RINGS: u32 = 3;
-/// Radius in metres of a lone root without orientation.
+/// Radius in meters of a lone root without orientation.
 const BALL: f32 = 0.08;
-/// Colour of all meshes (RGBA).
+/// Color of all meshes (RGBA).
 const COLOUR: [f32; 4] = [0.35, 0.5, 0.72, 1.0];
 
 /// A triangle mesh.

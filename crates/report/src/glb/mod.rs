@@ -51,7 +51,7 @@ fn encode(scene: &Scene) -> Vec<u8> {
     document.finish(&scene.title, mesh::material())
 }
 
-/// Extent along x over all frames, metres.
+/// Extent along x over all frames, meters.
 fn width(object: &SceneObject) -> f32 {
     let x = || object.positions.chunks_exact(3).map(|place| place[0]);
     x().fold(f32::MIN, f32::max) - x().fold(f32::MAX, f32::min)

@@ -24,7 +24,7 @@ const X_LABELS: u32 = 26;
 const Y_LABELS: u32 = 48;
 const ROW_NAMES: u32 = 96;
 
-/// Colours of the first and the last pose.
+/// Colors of the first and the last pose.
 const FIRST: [f64; 3] = [150.0, 190.0, 225.0];
 const LAST: [f64; 3] = [10.0, 50.0, 110.0];
 

@@ -26,7 +26,7 @@ const SMOOTHING: f64 = 0.03;
 /// Ratio of positive values from which the axis is logarithmic.
 const LOGARITHMIC: f64 = 30.0;
 
-/// Number of colours of the page style.
+/// Number of colors of the page style.
 const COLOURS: usize = 8;
 
 /// The ranges of both axes.

@@ -18,11 +18,11 @@ const STROKE: i32 = 12;
 /// Distance from the edges of the panel, pixels.
 const MARGIN: i32 = 10;
 
-/// Colour of key frames and obstacles.
+/// Color of key frames and obstacles.
 pub(super) const KEYFRAME: RGBColor = RGBColor(200, 90, 0);
 pub(super) const OBSTACLE: RGBColor = RGBColor(170, 40, 40);
 
-/// Colours of curves on white.
+/// Colors of curves on white.
 const COLOURS: [RGBColor; 8] = [
     RGBColor(47, 111, 237),
     RGBColor(228, 87, 46),
@@ -34,7 +34,7 @@ const COLOURS: [RGBColor; 8] = [
     RGBColor(107, 114, 128),
 ];
 
-/// Colour of a curve.
+/// Color of a curve.
 pub(super) fn colour(index: usize) -> RGBColor {
     COLOURS[index % COLOURS.len()]
 }

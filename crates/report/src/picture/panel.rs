@@ -13,9 +13,9 @@ pub(super) struct Pose {
     pub label: String,
     /// Position of the label, above the body.
     pub top: (f64, f64),
-    /// Both ends of each bone, metres.
+    /// Both ends of each bone, meters.
     pub bones: Vec<[(f64, f64); 2]>,
-    /// Joints without bones, metres.
+    /// Joints without bones, meters.
     pub joints: Vec<(f64, f64)>,
 }
 

@@ -8,7 +8,7 @@ const FIELD_OF_VIEW: f32 = 0.6;
 const AZIMUTH: f32 = 0.55;
 /// Downward angle, in radians.
 const ELEVATION: f32 = 0.3;
-/// Near plane in metres.
+/// Near plane in meters.
 const NEAR: f32 = 0.1;
 /// Margin as a part of the view.
 const MARGIN: f32 = 0.1;
@@ -30,13 +30,13 @@ pub(super) struct Camera {
 pub(super) struct Seen {
     /// Pixels from the left and from the top.
     pub at: [f32; 2],
-    /// Metres from the camera.
+    /// Meters from the camera.
     pub depth: f32,
     /// Pixels per meter at the point.
     pub scale: f32,
 }
 
-/// Least distance from the target, in metres.
+/// Least distance from the target, in meters.
 const NEAREST: f32 = 2.0;
 
 impl Camera {
@@ -151,7 +151,7 @@ impl Camera {
     }
 }
 
-/// The centre of the bounding box.
+/// The center of the bounding box.
 pub(super) fn middle(points: &[[f32; 3]]) -> [f32; 3] {
     let [low, high] = bounds(points);
     [0, 1, 2].map(|axis| (low[axis] + high[axis]) / 2.0)

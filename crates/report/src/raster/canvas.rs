@@ -10,7 +10,7 @@ pub(crate) struct Image {
 }
 
 impl Image {
-    /// A picture of one colour.
+    /// A picture of one color.
     pub(crate) fn filled(width: u32, height: u32, colour: [u8; 3]) -> Self {
         let rgb = colour.repeat(width as usize * height as usize);
         Self { width, height, rgb }
@@ -37,7 +37,7 @@ impl Image {
         }
     }
 
-    /// Blends a colour into a pixel.
+    /// Blends a color into a pixel.
     fn blend(&mut self, x: i32, y: i32, colour: [u8; 3], coverage: f32) {
         let at = 3 * (y as usize * self.width as usize + x as usize);
         for (value, new) in self.rgb[at..at + 3].iter_mut().zip(colour) {

@@ -23,7 +23,7 @@ mod tests {
         Painter::new(scene, size).at(seconds)
     }
 
-    /// Bounding box `[left, top, right, bottom]` of the pixels of a colour.
+    /// Bounding box `[left, top, right, bottom]` of the pixels of a color.
     fn extent(image: &Image, colour: [u8; 3]) -> Option<[u32; 4]> {
         let mut found: Option<[u32; 4]> = None;
         for (index, pixel) in image.rgb.chunks_exact(3).enumerate() {

@@ -5,7 +5,7 @@ use super::canvas::Image;
 use super::palette::{CONTACT, EDGE, FRONT, LEFT, MIDDLE, NOSE, RIGHT, SHADOW};
 use crate::scene::{BODY, Pose, SceneObject, Side, rotate};
 
-/// Length of the pointer in front, metres.
+/// Length of the pointer in front, meters.
 const NOSE_LENGTH: f32 = 0.22;
 /// Corners of the six faces of a box; the bits of a corner are its axes (side, up, front).
 const FACES: [[usize; 4]; 6] = [
@@ -71,7 +71,7 @@ pub(super) fn draw(
     }
 }
 
-/// A limb with radii in metres; `nearer` is added to its distance.
+/// A limb with radii in meters; `nearer` is added to its distance.
 fn limb(ends: [Seen; 2], radii: [f32; 2], colour: [u8; 3], nearer: f32) -> Part {
     let [a, b] = ends;
     Part {

@@ -6,7 +6,7 @@ use super::palette::BACKGROUND;
 use super::{floor, label, object};
 use crate::scene::{Floor, Scene, SceneObject, bounds};
 
-/// Largest motion of a camera at rest, in metres.
+/// Largest motion of a camera at rest, in meters.
 const AT_REST: f32 = 6.0;
 /// Half width of the smoothing of a following camera, seconds.
 const SMOOTHING: f64 = 0.4;
@@ -14,7 +14,7 @@ const SMOOTHING: f64 = 0.4;
 const TRAIL_POINTS: usize = 600;
 /// Maximum number of frames for measuring the size of a motion.
 const MEASURED: usize = 300;
-/// Reach of a lone root along each axis, in metres.
+/// Reach of a lone root along each axis, in meters.
 const LONE_REACH: f32 = 0.35;
 /// Number of objects in one row; more objects form a square.
 const ROW: u32 = 3;

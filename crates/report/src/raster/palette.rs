@@ -27,10 +27,10 @@ const COLOURS: [[u8; 3]; 14] = [
     TEXT,
 ];
 
-/// Steps from the background to each colour, for anti-aliased edges.
+/// Steps from the background to each color, for anti-aliased edges.
 const STEPS: usize = 4;
 
-/// The palette of GIFs: the background and four steps to every other colour.
+/// The palette of GIFs: the background and four steps to every other color.
 pub(crate) const PALETTE: [[u8; 3]; 1 + STEPS * COLOURS.len()] = {
     let mut palette = [BACKGROUND; 1 + STEPS * COLOURS.len()];
     let mut colour = 0;

@@ -1,5 +1,5 @@
-//! Motion composed of several texts: a transformer with blended positional encodings (docs/sources.md,
-//! section 6).
+//! Motion composed of several texts: a transformer with blended positional encodings
+//! (docs/sources.md, section 6).
 //!
 //! Recipe `bpe_motion` trains the network on clips with one text each, half in absolute and half in
 //! relative mode. With `model.path`, the network is also conditioned on the clips' root

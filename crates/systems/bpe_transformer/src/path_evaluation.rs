@@ -28,7 +28,7 @@ const SHORTEST: f64 = 2.0;
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct PathFollowingReport {
     pub motions: usize,
-    /// Mean distance of the root from the path, metres.
+    /// Mean distance of the root from the path, meters.
     pub mean_distance: Option<f64>,
     /// Mean over motions of the root's largest distance from the path, meters.
     pub largest_distance: Option<f64>,

@@ -1,4 +1,5 @@
-//! The evaluation of autoregressive motion: rollouts that continue the beginnings of held-out clips.
+//! The evaluation of autoregressive motion: rollouts that continue the beginnings of held-out
+//! clips.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;

@@ -114,7 +114,7 @@ impl Metrics for RolloutReport {
 /// Differences between motions and their references.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub(super) struct TextReport {
-    /// Mean difference of the root's mean speeds, metres per second.
+    /// Mean difference of the root's mean speeds, meters per second.
     pub speed_error: Option<f64>,
     /// Mean difference of the mean turns to the left, degrees per second.
     pub turn_error: Option<f64>,
@@ -172,7 +172,7 @@ fn mean_places(skeleton: &Skeleton, joints: &Joints) -> Option<Vec<f64>> {
     Some(layout.positions().map(of).collect())
 }
 
-/// Mean speed of the root over the ground, metres per second.
+/// Mean speed of the root over the ground, meters per second.
 fn speed(skeleton: &Skeleton, joints: &Joints) -> Option<f64> {
     let fps = skeleton.description().fps;
     let step = |pair: &[[f64; 3]]| fps * (pair[1][0] - pair[0][0]).hypot(pair[1][2] - pair[0][2]);

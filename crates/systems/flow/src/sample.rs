@@ -250,7 +250,7 @@ pub(super) fn guidance_without_dropout(trained: &TrainedModel, own: &FlowTables)
     })
 }
 
-/// Largest coordinate of a history, metres.
+/// Largest coordinate of a history, meters.
 const FURTHEST: f32 = 1e4;
 
 /// Allowed lengths of bones, meters.

@@ -14,7 +14,7 @@ use kinegrad_train::clips::captions::TextInput;
 
 use super::PoseConfig;
 
-/// Name of the condition on past frames, `[12 J - 1, history]`, normalised.
+/// Name of the condition on past frames, `[12 J - 1, history]`, normalized.
 pub const HISTORY: &str = "history";
 
 /// Name of the condition on the next pose's position in the motion, `[2, 1]`: progress, from 1 at
@@ -30,7 +30,7 @@ pub(super) struct PoseSpace {
     pub target: NextPose,
     /// Number of poses at a duration of 1.
     pub longest: usize,
-    /// Noise on training histories, metres.
+    /// Noise on training histories, meters.
     pub drift: f64,
 }
 
@@ -116,9 +116,9 @@ pub(super) fn rows(skeleton: &Skeleton, frames: &Joints) -> Result<Vec<Vec<f32>>
 pub(super) struct PoseWindows {
     pub clips: ClipSet,
     pub space: PoseSpace,
-    /// Normalises histories.
+    /// Normalizes histories.
     pub features: Arc<Statistics>,
-    /// Normalises poses.
+    /// Normalizes poses.
     pub target: Arc<Statistics>,
     pub text: TextInput,
     pub seed: u64,

@@ -65,7 +65,7 @@ impl ClipRequest {
 pub struct GeneratedClip {
     /// The clip's features, with the root representation of the run; `None` for a trajectory model.
     pub features: Option<Features>,
-    /// The root's ground position in each frame, x and z in metres.
+    /// The root's ground position in each frame, x and z in meters.
     pub ground: Vec<[f64; 2]>,
     /// The ground path of the first stage.
     pub path: Option<Vec<[f64; 2]>>,

@@ -31,7 +31,7 @@ pub(super) fn text_input(config: &Config) -> TextInput {
     TextInput::new(&config.own::<GmdConfig>().text, &config.data)
 }
 
-/// The denoiser with initial weights, in the space of normalised motion.
+/// The denoiser with initial weights, in the space of normalized motion.
 ///
 /// # Errors
 /// If it cannot be built.

@@ -67,11 +67,11 @@ pub struct TemporalLossConfig {
     pub angular_velocity_weight: f64,
     /// Weight of `position_smoothness`; the term also penalizes real motion.
     pub position_smoothness_weight: f64,
-    /// Metres per second cubed.
+    /// Meters per second cubed.
     pub target_jerk: f64,
-    /// Metres per second.
+    /// Meters per second.
     pub target_vel_coherence: f64,
-    /// Metres per second squared.
+    /// Meters per second squared.
     pub target_accel_coherence: f64,
     /// Dot product of consecutive quaternions above which there is no penalty.
     pub target_quat_delta: f64,

@@ -38,8 +38,8 @@ pub use rollout::{FlowRollout, FlowSpace, RolloutSettings};
 use kinegrad_models::Initializer;
 use kinegrad_models::layers::Embedding;
 
-/// The two networks, made by [`FlowConfig::init`]: parameters `encoder.*`, `predictor.*`, and optionally
-/// `embed_captions.weight`.
+/// The two networks, made by [`FlowConfig::init`]: parameters `encoder.*`, `predictor.*`, and
+/// optionally `embed_captions.weight`.
 #[derive(Module, Debug)]
 pub struct FlowModel {
     embed_captions: Option<Embedding>,

@@ -189,7 +189,7 @@ impl FlowRollout {
         Ok(())
     }
 
-    /// The next target, `[J, 3]` in metres.
+    /// The next target, `[J, 3]` in meters.
     fn sample(&mut self) -> Result<Vec<f32>, Error> {
         let joints = self.space.skeleton.joints();
         let number = match self.settings.same_noise {

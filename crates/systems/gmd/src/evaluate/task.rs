@@ -9,7 +9,8 @@ use serde::{Deserialize, Serialize};
 /// Radius of the obstacles, meters: a person with some clearance.
 const OBSTACLE_RADIUS: f64 = 0.35;
 
-/// Least distance of an obstacle's edge from both ends of the path, metres, unless the margin is larger.
+/// Least distance of an obstacle's edge from both ends of the path, meters, unless the margin is
+/// larger.
 const CLEARANCE: f64 = 0.1;
 
 /// The choice of keyframes.

@@ -18,7 +18,7 @@ pub(super) struct VarietyReport {
     pub conditions: usize,
     /// Clips of each condition.
     pub repeats: usize,
-    /// Metres.
+    /// Meters.
     pub trajectory_diversity: Option<f64>,
     /// `None` without an evaluator.
     pub multimodality: Option<f64>,

@@ -1,4 +1,4 @@
-//! The networks of Guided Motion Diffusion: a UNet over time with adaptive group normalisation
+//! The networks of Guided Motion Diffusion: a UNet over time with adaptive group normalization
 //! (appendix D, table D.1, figures D.1 and D.2), conditioned on the timestep and a text.
 //!
 //! Names, sizes and initialization follow the published models where these differ from the

@@ -1,4 +1,4 @@
-//! The residual block with adaptive group normalisation.
+//! The residual block with adaptive group normalization.
 
 use burn::module::Module;
 use burn::tensor::Tensor;
@@ -11,7 +11,7 @@ pub(super) const GROUPS: usize = 8;
 /// Kernel size of convolutions that keep the length, except shortcuts.
 const KERNEL: usize = 5;
 
-/// A convolution (child 0) and its normalisation (child 2).
+/// A convolution (child 0) and its normalization (child 2).
 #[derive(Module, Debug)]
 pub(super) struct ConvNorm {
     at_0: Conv1d,
@@ -37,7 +37,7 @@ impl ConvNorm {
         self.at_0.operation()
     }
 
-    /// Normalisation and Mish.
+    /// Normalization and Mish.
     pub fn norm(&self) -> NormOperation {
         self.at_2.operation().activation(Activation::Mish)
     }

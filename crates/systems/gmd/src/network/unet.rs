@@ -1,4 +1,4 @@
-//! The UNet over time with adaptive group normalisation.
+//! The UNet over time with adaptive group normalization.
 
 use burn::module::Module;
 use burn::tensor::Tensor;
@@ -229,8 +229,9 @@ pub struct GmdUnet {
 }
 
 impl GmdUnet {
-    /// Passes each stage to `stages`: `c [batch, latent_dim]`, `downI.res0`, `downI.res1` (the skip),
-    /// `downI.down`, `mid1`, `mid2`, `upI.res0`, `upI.res1`, `upI.up`, and `final0`, the last activation.
+    /// Passes each stage to `stages`: `c [batch, latent_dim]`, `downI.res0`, `downI.res1` (the
+    /// skip), `downI.down`, `mid1`, `mid2`, `upI.res0`, `upI.res1`, `upI.up`, and `final0`, the
+    /// last activation.
     ///
     /// # Shapes
     /// - x, output: `[batch, in_channels, time]`, time a multiple of `2^(levels - 1)`

@@ -13,8 +13,9 @@
 //! published program uses squares and no w(t) (docs/sources.md, section 4.10). `loss.velocity` adds
 //! the squared error of differences from the previous frame.
 //!
-//! `loss.joint_velocity` and `loss.foot_contact` add terms of the joints ([`JointMotion`]). Without a
-//! projection, `loss.trajectory_scale` k weighs the first four channels by k^2 instead (appendix C.1).
+//! `loss.joint_velocity` and `loss.foot_contact` add terms of the joints ([`JointMotion`]). Without
+//! a projection, `loss.trajectory_scale` k weighs the first four channels by k^2 instead (appendix
+//! C.1).
 //!
 //! The trajectory model predicts only the noise of the four root channels: rotation, x, z and
 //! height. The trajectory model overfits quickly and then responds poorly to guidance, so its

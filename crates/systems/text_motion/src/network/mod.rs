@@ -98,7 +98,7 @@ impl TextMotionEncoders {
     /// The embeddings of clips of `lengths` frames, each at least [`UNIT_FRAMES`].
     ///
     /// # Shapes
-    /// - frames: normalised, zeros behind each clip, `[batch, channels, time]`; the last movement
+    /// - frames: normalized, zeros behind each clip, `[batch, channels, time]`; the last movement
     ///   of a clip depends on the frames behind the clip
     /// - output: `[batch, embedding]`
     pub fn motions(&self, frames: Tensor<3>, lengths: &[usize]) -> Tensor<2> {

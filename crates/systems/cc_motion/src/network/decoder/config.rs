@@ -26,11 +26,11 @@ pub enum OutputActivation {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct OutputActivations {
-    /// Metres.
+    /// Meters.
     pub position: OutputActivation,
-    /// Metres per second.
+    /// Meters per second.
     pub velocity: OutputActivation,
-    /// Metres per second squared.
+    /// Meters per second squared.
     pub acceleration: OutputActivation,
     /// Unit norm.
     pub quaternion: OutputActivation,
@@ -76,11 +76,11 @@ impl Default for OutputActivations {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct OutputRanges {
-    /// Metres.
+    /// Meters.
     pub position: f64,
-    /// Metres per second.
+    /// Meters per second.
     pub velocity: f64,
-    /// Metres per second squared.
+    /// Meters per second squared.
     pub acceleration: f64,
     /// Radians per second.
     pub angular_velocity: f64,

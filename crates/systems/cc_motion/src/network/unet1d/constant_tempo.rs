@@ -24,7 +24,8 @@ const TEMPI: usize = 301;
 /// tempo may drift slightly within the music.
 ///
 /// # Shapes
-/// - found, output: sine and cosine, `[batch, 2, time]`, with a norm that grows with the agreement of the frames
+/// - found, output: sine and cosine, `[batch, 2, time]`, with a norm that grows with the agreement
+///   of the frames
 pub(super) fn fit_constant_tempo(found: Tensor<3>, lengths: Option<&Lengths>) -> Tensor<3> {
     let [batch, two, time] = found.dims();
     let device = found.device();
