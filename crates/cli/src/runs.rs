@@ -254,7 +254,7 @@ pub fn is_run(folder: &Path) -> bool {
     written.iter().any(|name| folder.join(name).exists()) || has_only_a_config(folder)
 }
 
-/// With another file beside `config.toml`, the folder may belong to another program.
+/// A folder with other files may belong to another program.
 fn has_only_a_config(folder: &Path) -> bool {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let names: Vec<OsString> = entries.map(|entry| entry.file_name()).collect();
@@ -273,7 +273,7 @@ pub fn folder_name(folder: &Path) -> String {
     name.to_string_lossy().into_owned()
 }
 
-/// The runs in a folder and its subfolders by path, including the folder itself and stages.
+/// The runs in a folder and below by path, including the folder itself and stages.
 pub fn find(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     search(folder, 0, &mut found);

@@ -117,7 +117,7 @@ fn encode(
     })
 }
 
-/// Feeds the pictures; returns exit status, messages, and true if the program took all pictures.
+/// Feeds the pictures; returns exit status, messages, and true if all pictures were taken.
 fn feed(
     child: &mut Child,
     painter: &Painter<'_>,
@@ -126,7 +126,7 @@ fn feed(
 ) -> (std::io::Result<std::process::ExitStatus>, String, bool) {
     let mut pictures = child.stdin.take().expect("it is piped");
     let mut errors = child.stderr.take().expect("it is piped");
-    // Unread messages would block the program, so a thread reads the messages.
+    // A thread reads the messages, because unread messages block the program.
     let messages = thread::spawn(move || {
         let mut messages = Vec::new();
         let _ = errors.read_to_end(&mut messages);
@@ -226,8 +226,7 @@ mod tests {
     fn the_encoder_gets_all_pictures_and_the_song() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("dance.mp4");
-        // The script writes its other arguments, the song and the size of the pictures to the file
-        // of the last argument.
+        // Writes its other arguments, the song and the size of the pictures to its last argument.
         let script = "for last; do :; done\nout=${last#file:}\n\
                       { echo \"$@\"; cat \"${out%film.tmp}song.tmp\"; echo; wc -c; } > \"$out\"";
         let program = stand_in(folder.path(), script);
@@ -250,7 +249,7 @@ mod tests {
         let out = folder.path().join("dance.mp4");
         fs::write(&out, "an older film").unwrap();
         for (script, messages) in [
-            // The script leaves an incomplete file and unread pictures.
+            // Leaves an incomplete file and unread pictures.
             (
                 "for last; do :; done\necho half > \"${last#file:}\"\necho Unknown encoder >&2\nexit 8",
                 "Unknown encoder",
@@ -278,7 +277,7 @@ mod tests {
     fn stopping_leaves_no_file_and_no_encoder() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("dance.mp4");
-        // The script reads all pictures and continues for a minute.
+        // Reads all pictures and continues for a minute.
         let script =
             "for last; do :; done\necho half > \"${last#file:}\"\ncat > /dev/null\nexec sleep 60";
         let program = stand_in(folder.path(), script);

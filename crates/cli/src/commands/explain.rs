@@ -113,8 +113,7 @@ fn bare(name: &str) -> String {
     name.replace("[]", "")
 }
 
-/// The key `requested`, or all keys of the table `requested`. If neither exists, all keys with this
-/// last part.
+/// The key or the keys of the table `requested`; otherwise all keys with this last part.
 fn chosen(keys: &[ConfigKey], requested: &str) -> Vec<ConfigKey> {
     let with = |is_match: &dyn Fn(&str) -> bool| -> Vec<ConfigKey> {
         let keys = keys.iter().filter(|key| is_match(&bare(&key.key.name)));

@@ -95,8 +95,7 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
     Ok(ExitCode::SUCCESS)
 }
 
-/// True if the samples of the run's end are missing: the writing was interrupted, or the samples
-/// were removed.
+/// True if samples of the run's end are missing after an interruption or a removal.
 fn lacks_samples(outcome: &Outcome) -> bool {
     let unfinished = outcome.folder.join(UNFINISHED_SAMPLES).exists();
     let owed = unfinished || !outcome.folder.join(SAMPLES).exists();
@@ -192,8 +191,7 @@ fn write_final_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<FinalS
     Ok((files.written, trained.saved.state.step, summary))
 }
 
-/// Moves a folder. If the target folder exists, moves the files into the target and replaces
-/// existing files.
+/// Moves a folder. Files move into an existing target folder and replace its files.
 fn move_into(from: &Path, to: &Path) -> Result<(), Error> {
     if (to.exists() || to.is_symlink()) && !to.is_dir() {
         let to = to.display();

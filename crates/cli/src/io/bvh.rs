@@ -140,7 +140,7 @@ fn with_locked_feet(
     joints: &Joints,
     skeleton: &Skeleton,
 ) -> Result<Bvh, Error> {
-    // BVH has constant bone lengths: feet that were locked before the conversion would slide again.
+    // BVH has constant bone lengths: feet locked before the conversion would slide again.
     let rigid = bvh.joints_of(skeleton, CENTIMETRES);
     let rigid = rigid.expect("a file of these joints");
     let locked = lock_joints(&rigid, joints, skeleton, &ContactRule::default(), 0.0)?;
@@ -179,8 +179,8 @@ fn up_of(names: &[String], places: &[[f64; 3]]) -> UpAxis {
     if is_z { UpAxis::Z } else { UpAxis::Y }
 }
 
-/// The unit in which the body's height is nearest to a person's height. The ground is at 0, or at
-/// the lowest joint if that joint is below 0.
+/// The unit in which the body's height is nearest to a person's. The ground is at 0, or at a lower
+/// lowest joint.
 pub fn guess_units(bvh: &Bvh, up: UpAxis) -> Units {
     units_of(&first_frame(bvh), up)
 }

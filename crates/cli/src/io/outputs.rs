@@ -26,7 +26,7 @@ pub fn stem(out: &Path) -> Result<String, Error> {
 }
 
 /// Refuses outputs that are also inputs, or that exist and must not be replaced. The error names
-/// the first such output, and `option` as the option to change.
+/// the first output, and suggests another `option`.
 pub fn must_be_new<'a>(
     outputs: impl IntoIterator<Item = &'a PathBuf, IntoIter: Clone>,
     read: &[PathBuf],

@@ -18,7 +18,7 @@ const RECORD: &str = ".json";
 /// A sample that was written.
 #[derive(Serialize)]
 pub struct Written {
-    /// Files of the sample, the motion first and the record last.
+    /// The files, the motion first and the record last.
     pub files: Vec<PathBuf>,
     /// Its record.
     pub record: Record,
@@ -74,8 +74,8 @@ impl Files {
         self.path(&sample.name, extension)
     }
 
-    /// Writes all files of a sample and returns their paths, the motion first and the record last.
-    /// On failure, removes the files that were written.
+    /// Writes all files of a sample, and returns their paths: the motion first, the record last. A
+    /// failure removes written files.
     ///
     /// # Errors
     /// If a file cannot be written.
@@ -106,10 +106,10 @@ impl Files {
     }
 }
 
-/// Rejects a sample with numbers that are not finite; `stem` is the prefix of its file names.
+/// Rejects a sample that is not finite; `stem` is the prefix of its file names.
 ///
 /// # Errors
-/// If an array has a number that is not finite; the error names the first such file.
+/// For a number that is not finite; names the first file.
 pub fn must_be_finite(sample: &Sample, stem: &str) -> Result<(), Error> {
     for (extension, contents) in &sample.files {
         if let Contents::Array { values, .. } = contents
@@ -148,7 +148,7 @@ impl SampleSink for Files {
         let start = start.to_string_lossy();
         let is_here = folder.as_os_str().is_empty();
         let folder = if is_here { Path::new(".") } else { folder };
-        // A billion names are possible, so the test compares the existing files with the names.
+        // A billion names are possible, so existing files are compared with the names.
         let entries = fs::read_dir(folder).into_iter().flatten().flatten();
         let files = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
         let is_taken = |file: &String| {

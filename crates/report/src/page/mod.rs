@@ -30,7 +30,7 @@ pub struct Page {
 pub struct Section {
     /// The heading.
     pub title: String,
-    /// The blocks of the section.
+    /// The blocks.
     pub blocks: Vec<Block>,
 }
 
@@ -69,9 +69,9 @@ pub struct Table {
 /// A cell of a table.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cell {
-    /// The text of the cell.
+    /// The text.
     pub text: String,
-    /// The tone of the cell.
+    /// The tone.
     pub tone: Tone,
 }
 

@@ -159,7 +159,7 @@ pub struct PathAdapterConfig {
 #[serde(default, deny_unknown_fields)]
 pub struct BpeLossConfig {
     /// Weight of the squared error of differences between consecutive frames, which penalizes
-    /// shaking. 0 in the published program. Small models shake without this term.
+    /// shaking. 0 in the published program. Small models shake if the weight is 0.
     pub velocity: f64,
 }
 

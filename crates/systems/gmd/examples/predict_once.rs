@@ -5,8 +5,8 @@
 //! cargo run --release -p kinegrad-train --example predict_once -- runs/gmd_motion 0 20 100
 //! ```
 //!
-//! For each timestep and scale, the example prints the mean distances from the clip, of the root
-//! and of the other joints relative to the root, and the ratio of the jerk to the clips' jerk.
+//! For each timestep and scale, the example prints mean distances from the clip (root; other joints
+//! relative to the root), and the ratio of the jerk to the clips' jerk.
 
 use std::path::Path;
 use std::process::ExitCode;

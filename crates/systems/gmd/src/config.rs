@@ -63,8 +63,8 @@ pub struct GmdLossConfig {
     /// height) are weighted by the square of this factor (Guided Motion Diffusion, appendix C.1).
     pub trajectory_scale: f64,
     /// Weight of the squared error of differences between consecutive frames, which penalizes
-    /// shaking. For `prediction_type = "sample"`; 0 in the paper. Small models shake without this
-    /// term.
+    /// shaking. For `prediction_type = "sample"`; 0 in the paper. Small models shake if the weight
+    /// is 0.
     pub velocity: f64,
     /// Weight of the squared error of the joints' world velocities, in meters per second, mean over
     /// the joints. For motion models with `prediction_type = "sample"`; 0 in the paper.

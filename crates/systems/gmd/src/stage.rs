@@ -24,8 +24,7 @@ impl Objective for GroundObjective<'_> {
         let positions = positions.swap_dims(1, 2).try_into_vec_as::<f32>();
         let positions = positions.expect("samples are float32").into_iter();
         let positions: Vec<f64> = positions.map(f64::from).collect();
-        // Runs on the host in double precision: the loss has only a few thousand numbers, and
-        // branches.
+        // On the host in double precision: a few thousand numbers, with branches.
         let (_, gradient) = self.loss.evaluate(&positions);
         let gradient: Vec<f32> = gradient.into_iter().map(|value| value as f32).collect();
         let device = pred_original_sample.device();
@@ -93,8 +92,8 @@ impl<'a> StageSteering<'a> {
         })
     }
 
-    /// Steers the second stage along the first stage's `paths` in every frame, one path per goal,
-    /// and around the goals' obstacles.
+    /// Steers the second stage along `paths` of the first stage in every frame, one path per goal,
+    /// and around obstacles.
     ///
     /// # Errors
     /// As [`of_goals`](Self::of_goals).

@@ -20,7 +20,7 @@ pub struct Clip {
 /// A motion that was read.
 pub struct Motion {
     pub example: Example,
-    /// None for a BVH file.
+    /// `None` for a BVH file.
     pub clip: Option<Clip>,
 }
 

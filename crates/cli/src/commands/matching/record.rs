@@ -37,16 +37,16 @@ pub struct Record {
     keyframes: Option<PathBuf>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     fixed: Vec<String>,
-    /// None without `--lock-feet`.
+    /// `None` without `--lock-feet`.
     #[serde(skip_serializing_if = "Option::is_none")]
     sliding: Option<Sliding>,
-    /// None without fixed parts.
+    /// `None` without fixed parts.
     #[serde(skip_serializing_if = "Option::is_none")]
     jerk: Option<f64>,
-    /// None without `--loop`.
+    /// `None` without `--loop`.
     #[serde(skip_serializing_if = "Option::is_none")]
     seam: Option<Seam>,
-    /// None for a motion of one frame.
+    /// `None` for a motion of one frame.
     still: Option<Stillness>,
     /// `None` if the motions are too short or too long to compare.
     measures: Option<Measures>,

@@ -17,8 +17,8 @@ pub struct Segment {
 
 /// The texts of a batch of motions; each motion has one sequence without overlaps.
 ///
-/// The padding of a motion with a single text has the same text and continues the positions. With
-/// several texts, the padding has no text. Valid frames do not depend on the padding.
+/// The padding of a motion with a single text continues text and positions. With several texts, the
+/// padding has no text. Valid frames do not depend on the padding.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TextSegments(Arc<[Vec<Segment>]>);
 
@@ -71,7 +71,7 @@ impl TextSegments {
     }
 
     /// The motion and the text of each condition. Each motion has one condition per segment, then
-    /// one condition for the padding; padding without a text has `no_text`.
+    /// one for the padding; padding without a text has `no_text`.
     pub fn conditions(&self, no_text: usize, device: &Device) -> [Tensor<1, Int>; 2] {
         let pairs = self.0.iter().enumerate().flat_map(|(motion, segments)| {
             let texts = segments.iter().map(|segment| segment.text);
@@ -118,8 +118,8 @@ impl TextSegments {
         (0..self.len()).map(of_motion).collect()
     }
 
-    /// The frames that each frame attends to: valid frames at a distance of at most `horizon`, in
-    /// absolute mode only of the same segment. Padding attends to no frame.
+    /// The frames that each frame attends to: valid frames at most `horizon` away, in absolute mode
+    /// only of the same segment. Padding attends to no frame.
     pub fn ranges(&self, time: usize, horizon: usize, is_relative: &[bool]) -> KeyRanges {
         let of_motion = |motion: usize| {
             let end = self.frames().nth(motion).expect("a motion");

@@ -23,9 +23,9 @@ pub struct Measures {
     pub diversity: Option<f64>,
     /// Mean distance between two samples of one phrase. Needs two seeds.
     pub same_phrase_diversity: Option<f64>,
-    /// Fréchet distance to the used held-out phrases. Needs two samples and two phrases.
+    /// Fréchet distance to the used held-out phrases. Needs two of each.
     pub frechet_held_out: Option<f64>,
-    /// Fréchet distance to the training phrases. Needs two samples and two phrases.
+    /// Fréchet distance to the training phrases. Needs two of each.
     pub frechet_training: Option<f64>,
     /// Beat alignment with the phrase's own music for any condition; mean over motions with beats.
     pub beat_alignment: Option<f64>,
@@ -151,8 +151,8 @@ impl<'a> Reference<'a> {
         }
     }
 
-    /// The metrics of motions. `motions` has one list per held-out phrase, in order; all lists have
-    /// the same length of at least one motion, and at least one phrase is needed.
+    /// The metrics of at least one motion per held-out phrase. `motions` has one list per phrase,
+    /// in order, all of equal length; at least one phrase is needed.
     pub fn measure(&self, motions: &[Vec<Phrase>]) -> Measures {
         let all = || motions.iter().flatten();
         let rates = |profile| {

@@ -24,7 +24,7 @@ pub struct LossTerm {
 /// `motions`, one list per phrase of `held_out`.
 ///
 /// A sample from noise shares only the audio condition with its phrase. The sample's squared error
-/// is about twice the variance of real motion; the mean motion's squared error is half as large.
+/// is about twice the variance of real motion; the mean motion's error is half as large.
 pub(super) fn loss_terms(motions: &[Vec<Phrase>], held_out: &[Arc<PhraseItem>]) -> Vec<LossTerm> {
     let config = TemporalLossConfig::ccmotion();
     let count = motions.iter().map(Vec::len).sum::<usize>() as f64;

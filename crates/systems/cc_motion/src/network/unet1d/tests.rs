@@ -104,8 +104,8 @@ fn audio_is_joined_where_it_sounds() {
 }
 
 fn on(device: &Device, mode: Mode, length: usize) -> [Tensor<3>; 2] {
-    // In a batch, the padding of a shorter clip has noise in the motion and zeros in the audio.
-    // This test also puts noise into the audio.
+    // Padding in a batch has noise in the motion and zeros in the audio; here the audio also has
+    // noise.
     mode.scope(|| {
         let network = aligned(device);
         let time = 29;
@@ -158,8 +158,8 @@ fn the_two_modes_agree_with_padding() {
     assert!(largest(fused - composed) < 2e-5);
 }
 
-/// Frames of a batch, and of its shorter clip. The coarsest level has several frames, because the
-/// normalization of a group of two numbers is nearly a step function.
+/// Frames of a batch, and of its shorter clip. The coarsest level has several frames, because
+/// normalization of two numbers is nearly a step function.
 const FRAMES: usize = 52;
 const SHORTER: usize = 37;
 
@@ -202,7 +202,7 @@ fn gradients_of_the_kernels_are_those_of_burns_operations() {
         let scale = largest(composed).max(1e-3 * overall);
         assert!(apart < 5e-4 * scale, "{}: {apart} of {scale}", info.name);
     }
-    // Padding of the audio has no gradient; real audio frames have the same gradient in both modes.
+    // Audio padding has no gradient; real frames have the same gradient in both modes.
     let scale = largest(&audio_fused);
     for (index, (fused, composed)) in audio_fused.iter().zip(&audio_composed).enumerate() {
         assert!(
