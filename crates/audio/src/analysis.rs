@@ -6,7 +6,7 @@ use crate::{
     tuning,
 };
 
-/// Largest magnitude of a sample, as its power must fit single precision. Full scale is 1.
+/// Largest magnitude of a sample, whose power must fit single precision. Full scale is 1.
 pub const LARGEST_SAMPLE: f32 = 1e6;
 
 /// The features of a recording before normalisation.
@@ -38,8 +38,8 @@ impl Analysis {
     /// Analyses any number of mono samples at [`SAMPLE_RATE`](crate::SAMPLE_RATE).
     ///
     /// # Errors
-    /// [`Error::Sample`] for a sample that is not finite or beyond [`LARGEST_SAMPLE`], and
-    /// [`Error::AnalysisMemory`].
+    /// [`Error::Sample`] for a sample that is not finite or beyond [`LARGEST_SAMPLE`];
+    /// [`Error::AnalysisMemory`] if memory is full.
     pub fn new(signal: &[f32]) -> Result<Self, Error> {
         check(signal)?;
         Ok(Self::of_checked(signal, tuning::estimate(signal)))
@@ -80,8 +80,8 @@ impl Analysis {
 
     /// Approximate bytes of memory for the features of `samples` samples, without the samples.
     pub fn memory(samples: usize) -> u64 {
-        // All tensors of an analysis, the same again for their inputs, and one piece of the
-        // band-limited samples.
+        // All tensors of an analysis, inputs of the same size, and one piece of the band-limited
+        // samples.
         let per_frame = 2 * mel::BANDS + mfcc::COEFFICIENTS + cqt::BINS + chroma::CLASSES + 4;
         let growing = num_frames(samples) as u64 * per_frame as u64 * 8;
         let piece = samples.min(cqt::SAMPLES_AT_A_TIME) as u64 * 8;
@@ -97,7 +97,7 @@ pub fn extract(signal: &[f32]) -> Result<Features, Error> {
     Ok(Analysis::new(signal)?.features())
 }
 
-/// [`extract`] with the beats of a tempo of about `bpm` beats per minute.
+/// [`extract`] with beats tracked near a tempo of `bpm` beats per minute.
 ///
 /// # Errors
 /// As [`Analysis::new`].

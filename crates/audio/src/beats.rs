@@ -12,9 +12,9 @@ use crate::tempo::{self, FRAMES_PER_MINUTE, LAGS, Tempo};
 
 /// Weight of the tempo in the score.
 const TIGHTNESS: f64 = 100.0;
-/// The first beat has at least this share of the largest local score.
+/// Smallest local score of the first beat, relative to the largest local score.
 const FIRST_BEAT_SHARE: f64 = 0.01;
-/// Taps of the smoothing in [`trim`] around its centre.
+/// Taps of the centred smoothing filter in [`trim`].
 const SMOOTHING: [f64; 3] = [0.5, 1.0, 0.5];
 
 /// The tempo and the beats of a piece.
@@ -40,19 +40,19 @@ pub struct Search {
     pub frames_per_beat: usize,
     /// Smoothed envelope, `[T]`.
     pub local_score: Vec<f64>,
-    /// Best score of a chain of beats that ends at the frame, `[T]`.
+    /// Best score of a chain of beats that ends at each frame, `[T]`.
     pub cumulative_score: Vec<f64>,
-    /// The previous beat of that chain, `[T]`.
+    /// The previous beat of each frame's best chain, `[T]`.
     pub backlinks: Vec<Option<usize>>,
 }
 
-/// Tempo and beats of `onset_envelope`, `[T]` at [`FPS`] frames a second, any scale, any length.
-/// An envelope that is zero or not finite anywhere has no beats.
+/// Tempo and beats of `onset_envelope`, `[T]` at [`FPS`] frames a second, any scale, any length. An
+/// envelope of zeros, or with a value that is not finite, has no beats.
 pub fn track(onset_envelope: &[f32]) -> Beats {
     track_at(onset_envelope, tempo::estimate)
 }
 
-/// [`track`] with a tempo of about `bpm` beats per minute, not its half or double.
+/// [`track`] near a tempo of `bpm` beats per minute, without its half and double.
 pub fn track_near(onset_envelope: &[f32], bpm: f64) -> Beats {
     track_at(onset_envelope, |onset| tempo::estimate_near(onset, bpm))
 }
@@ -152,7 +152,7 @@ fn link(local: &[f64], frames_per_beat: usize) -> (Vec<f64>, Vec<Option<usize>>)
     (cumulative, links)
 }
 
-/// The last local maximum of at least half the median of all of them, else the final frame.
+/// The last local maximum of at least half the median of all local maxima, else the final frame.
 fn last_beat(cumulative: &[f64]) -> Option<usize> {
     let n = cumulative.len();
     let peaks: Vec<usize> = (1..n)
@@ -213,7 +213,7 @@ mod tests {
 
     #[test]
     fn a_stated_tempo_settles_the_octave() {
-        // Eighths a little weaker than the beats: 138 a minute, or 69.
+        // Beats at 69 a minute with slightly weaker eighths between them: 138 a minute.
         let pulses: Vec<f32> = (0..900)
             .map(|t| match t % 26 {
                 3 => 1.0,
@@ -227,7 +227,7 @@ mod tests {
         assert_eq!((halved.tempo, halved.frames), (1800.0 / 26.0, every(26)));
         assert_eq!(track_near(&pulses, 141.0), track(&pulses));
         assert_eq!(track_near(&[0.0; 50], 90.0), Beats::default());
-        // No tempo is out of reach of the lags.
+        // Every stated tempo has an allowed lag.
         for bpm in [0.1, 5.0, 1799.0, 1e6] {
             assert!(track_near(&pulses, bpm).tempo > 0.0);
         }

@@ -8,7 +8,7 @@ pub const CLASSES: usize = 12;
 
 const BINS_PER_SEMITONE: usize = BINS_PER_OCTAVE / CLASSES;
 
-/// Adds up the bins of each pitch class: three per semitone, centred on it.
+/// Sums the bins of each pitch class: three bins centred on each semitone.
 ///
 /// # Shapes
 /// `cqt`: `[T, 252]`; result: `[T, 12]`.

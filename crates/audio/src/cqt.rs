@@ -4,8 +4,8 @@
 //! C[k, t] = sqrt(L_k) | sum_n h_k[-n] y[t * HOP + n] |,  L_k = Q * 44100 / f_k
 //! f_k = 440 * 2^(-45/12) * 2^((k + tuning) / 36),  Q = (2^(2/36) + 1) / (2^(2/36) - 1)
 //! ```
-//! `h_k` is a Hann-windowed complex exponential of length `L_k` and L1 norm 1, its spectrum
-//! without its smallest values (1 % of the magnitude sum). A unit sine on a bin's centre gives
+//! `h_k` is a Hann-windowed complex exponential of length `L_k` and L1 norm 1. The smallest values
+//! of its spectrum (1 % of the magnitude sum) are zero. A unit sine on a bin's centre gives
 //! `sqrt(L_k) / 2`.
 //!
 //! Each octave is computed from frames of 1024 samples of a band-limited signal, instead of frames
@@ -33,7 +33,7 @@ pub fn bin_frequency(k: usize, tuning: f64) -> f64 {
     440.0 * 2f64.powf(-45.0 / 12.0 + (k as f64 + tuning) / BINS_PER_OCTAVE as f64)
 }
 
-/// Two minutes, because the octaves of a long song take more memory than the song.
+/// Frames of a piece, two minutes: the octaves of a long song take more memory than the song.
 const FRAMES_AT_A_TIME: usize = 4096;
 
 /// Most samples that are band-limited at a time.
@@ -45,7 +45,7 @@ pub fn magnitudes(signal: &[f32], tuning: f64) -> FrameMatrix {
     in_pieces(signal, tuning, FRAMES_AT_A_TIME)
 }
 
-/// [`magnitudes`] in pieces of `frames` frames, which do not change the bits.
+/// [`magnitudes`] in pieces of `frames` frames. The bits do not depend on `frames`.
 fn in_pieces(signal: &[f32], tuning: f64, frames: usize) -> FrameMatrix {
     let filters = wavelets::all(tuning);
     let transform = RealFftPlanner::<f32>::new().plan_fft_forward(FRAME);
@@ -53,7 +53,7 @@ fn in_pieces(signal: &[f32], tuning: f64, frames: usize) -> FrameMatrix {
     let pieces = out.as_mut_slice().chunks_mut(frames * BINS);
     for (piece, rows) in pieces.enumerate() {
         let centre = piece * frames * HOP;
-        // An even sample: the octaves contain every second one.
+        // An even sample, because the octaves contain every second sample.
         let begin = centre.saturating_sub(octaves::CONTEXT) / 2 * 2;
         let end = centre + rows.len() / BINS * HOP + octaves::CONTEXT;
         let mut octaves = Octaves::new(&signal[begin..end.min(signal.len())]);

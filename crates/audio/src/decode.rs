@@ -1,4 +1,4 @@
-//! From an audio file to mono samples at [`SAMPLE_RATE`](crate::SAMPLE_RATE).
+//! Decodes an audio file to mono samples at [`SAMPLE_RATE`](crate::SAMPLE_RATE).
 
 use std::ffi::OsStr;
 use std::fs::File;
@@ -31,8 +31,8 @@ pub const LOWEST_RATE: u32 = 4000;
 /// Highest sample rate, in Hz.
 pub const HIGHEST_RATE: u32 = 768_000;
 
-/// Missing seconds from which on [`Waveform::damage`] reports them: the length of an MP3 without a
-/// length header is estimated from its size, which includes tags.
+/// Fewest missing seconds that [`Waveform::damage`] reports. The length of an MP3 without a length
+/// header is estimated from the file size, which includes tags.
 const NOTICED_SECONDS: f64 = 0.1;
 
 /// A decoded recording.
@@ -45,9 +45,9 @@ pub struct Waveform {
     /// Channels in the file, averaged.
     pub source_channels: usize,
     /// Damaged packets, replaced by silence of the same length. A damaged part without packets, as
-    /// in MP3, is lost, and the music after it is early.
+    /// in MP3, is lost, and the music after the damaged part is early.
     pub skipped_packets: usize,
-    /// Seconds missing relative to the file's headers; 0 if they state no length.
+    /// Seconds missing relative to the file's headers; 0 if the headers state no length.
     pub missing_seconds: f64,
 }
 
@@ -72,7 +72,7 @@ impl Waveform {
 /// removed, resampled to [`SAMPLE_RATE`](crate::SAMPLE_RATE).
 ///
 /// # Errors
-/// All of [`Error`] but those of the analysis.
+/// [`Error::Decode`].
 pub fn decode(path: &Path) -> Result<Waveform, Error> {
     let extension = path.extension().and_then(OsStr::to_str);
     let decoded = open(path).and_then(|file| decode_source(file, extension));
@@ -295,7 +295,7 @@ impl Mono {
     }
 
     /// Replaces a damaged packet by silence, so that later packets keep their time. Damaged packets
-    /// before the first good one are dropped.
+    /// before the first good packet are dropped.
     fn skip(&mut self, packet: &Packet) -> Result<(), DecodeError> {
         self.skipped_packets += 1;
         // All supported formats count packets in samples. A forged duration adds at most a second.
@@ -323,7 +323,8 @@ impl Mono {
         }
     }
 
-    /// True if the headers state no length, or an impossible one, as in a file written into a pipe.
+    /// True if the headers state no length or an impossible length, as in a file written into a
+    /// pipe.
     fn is_endless(&self) -> bool {
         let most = MAX_HOURS * 3600 * u64::from(self.rate.max(1));
         self.promised.is_none_or(|promised| promised > most)

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Number of active guarded calls.
 static GUARDED: AtomicUsize = AtomicUsize::new(0);
 
-/// The result of `call`; `None` if it panics, without the panic's message.
+/// The result of `call`; `None`, without a printed message, if `call` panics.
 pub fn guarded<T>(call: impl FnOnce() -> T) -> Option<T> {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {

@@ -1,8 +1,8 @@
-//! From a music file to the `[163, T]` audio conditioning tensor, tempo and beats.
+//! Converts a music file to the `[163, T]` audio conditioning tensor, tempo and beats.
 //!
 //! [`decode()`] reads a file to mono samples at [`SAMPLE_RATE`]; [`extract`] computes the features
-//! at [`FPS`] frames per second, `T = 1 + floor(n / `[`HOP`]`)`. The definitions are librosa's
-//! (0.11), the settings CC-MotionGen's (section 4; docs/sources.md, section 2).
+//! at [`FPS`] frames per second, `T = 1 + floor(n / `[`HOP`]`)`. The definitions follow librosa
+//! 0.11; the settings follow CC-MotionGen (section 4; docs/sources.md, section 2).
 //!
 //! ```
 //! use kinegrad_audio::{CHANNELS, SAMPLE_RATE, extract};

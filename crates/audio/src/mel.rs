@@ -70,7 +70,7 @@ impl MelBank {
         Self::new(0.0, f64::from(crate::SAMPLE_RATE) / 2.0)
     }
 
-    /// Adds up the power spectrum of one frame in each band.
+    /// Sums the power spectrum of one frame in each band.
     ///
     /// # Shapes
     /// `power`: `[1025]`; `bands`: `[128]`.

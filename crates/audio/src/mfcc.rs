@@ -8,7 +8,8 @@ use crate::mel::BANDS;
 /// Coefficients, the zeroth included.
 pub const COEFFICIENTS: usize = 20;
 
-/// The first [`COEFFICIENTS`] of the orthonormal DCT-II over the bands of each frame, no lifter.
+/// The first [`COEFFICIENTS`] values of the orthonormal DCT-II over the bands of each frame,
+/// without a lifter.
 ///
 /// ```text
 /// c[i] = sqrt((i == 0 ? 1 : 2) / M) sum_m db[m] cos(pi i (m + 1/2) / M),  M = 128

@@ -1,8 +1,8 @@
 //! The signal at half the sample rate, band-limited further for every lower octave.
 //!
 //! The hop at half rate, 735 samples, is odd, so the rate cannot be halved again. Instead each
-//! octave halves the band alone, by the same half-band filter with taps twice as far apart (the "à
-//! trous" cascade), and frames are read with a stride.
+//! octave halves only the band: the same half-band filter is applied with taps twice as far apart
+//! (the "à trous" cascade). Frames are read with a stride.
 
 use std::f64::consts::PI;
 
@@ -10,23 +10,23 @@ use rayon::prelude::*;
 
 use crate::wavelets::FRAME;
 
-/// Taps of the band filter on one side of its centre, at odd distances. With the window below it
-/// passes frequencies up to 0.1 of the rate and attenuates those from 0.4 on by 90 dB.
+/// Taps of the band filter on one side of its centre, at odd distances. With the window below, the
+/// filter passes frequencies up to 0.1 of the rate and attenuates frequencies from 0.4 on by 90 dB.
 const BAND_TAPS: usize = 6;
 /// Taps of the filter that halves the rate; its transition is 0.46 to 0.54 of the new rate.
 const RATE_TAPS: usize = 40;
 const KAISER_BETA: f64 = 10.06;
 /// Widest spread of the taps: the six filters below octave 1 are spread 1 to 32.
 const WIDEST_SPREAD: usize = 32;
-/// Silence on both sides of the signal, where the filters ring out: the sum of their reaches, and
-/// the last one's again for reading.
+/// Samples of silence on both sides of the signal, where the filters ring out: the sum of the
+/// filters' reaches, plus the last reach again for reading.
 const PAD: usize = reach(BAND_TAPS) * 3 * WIDEST_SPREAD + reach(BAND_TAPS);
-/// Most samples at the full rate on each side of a frame's centre that a frame depends on.
+/// Number of full-rate samples on each side of a frame's centre that affect the frame.
 pub(crate) const CONTEXT: usize = 2 * (PAD + FRAME / 2 * 2 * WIDEST_SPREAD + RATE_TAPS);
 /// Samples of a task.
 const CHUNK: usize = 4096;
 
-/// The band-limited signal of one octave after the other, at 22050 samples a second.
+/// The band-limited signal of the current octave, at 22050 samples a second.
 pub(crate) struct Octaves<'a> {
     signal: &'a [f32],
     /// Taps of the band filter.
@@ -55,8 +55,8 @@ impl<'a> Octaves<'a> {
     /// Halves the band: the next octave down.
     pub fn descend(&mut self) {
         if self.spread == 1 {
-            // The reference reads the top octave at the full rate and the others from a signal of
-            // half the rate with sharp ends.
+            // The reference reads the top octave at the full rate and the other octaves from a
+            // half-rate signal with sharp ends.
             self.samples = halve(self.signal, &half_band(RATE_TAPS));
             let end = self.samples.len() - PAD;
             self.samples[..PAD].fill(0.0);
@@ -133,7 +133,7 @@ fn padded(samples: impl Iterator<Item = f32>, len: usize) -> Vec<f32> {
     out
 }
 
-/// Calls `chunk(first, out)` for the parts of `out` but `reach` samples at its ends.
+/// Calls `chunk(first, out)` for the parts of `out`, without `reach` samples at either end.
 fn filter(out: &mut [f32], reach: usize, chunk: impl Fn(usize, &mut [f32]) + Sync) {
     let end = out.len() - reach;
     out[reach..end]

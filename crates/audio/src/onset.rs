@@ -40,7 +40,7 @@ pub fn strength(mel_full_db: &FrameMatrix) -> OnsetStrength {
     out
 }
 
-/// The middle value, or the mean of the two middle values; reorders `values`, 0 for none.
+/// The middle value, or the mean of the two middle values; 0 without values. Reorders `values`.
 pub(crate) fn median(values: &mut [f32]) -> f32 {
     if values.is_empty() {
         return 0.0;

@@ -1,15 +1,15 @@
 //! Positions within beats and bars, and their beat features.
 //!
 //! The position is linear in time between beats; beyond the ends, beats continue at the distance of
-//! the nearest two.
+//! the nearest two beats.
 
 use std::f64::consts::TAU;
 
 use crate::{Beats, FPS};
 
 /// The rows of the beat features: sine and cosine of the position in the beat; sine and cosine of
-/// the position in the bar, and 1 if it is known (all three 0 otherwise); 1 in the frame nearest to
-/// a beat; the tempo in octaves above [`REFERENCE_BPM`].
+/// the position in the bar, and 1 if the bars are known (all three 0 otherwise); 1 in the frame
+/// nearest to a beat; the tempo in octaves above [`REFERENCE_BPM`].
 pub const BEAT_FEATURES: [&str; 7] = [
     "beat_sin",
     "beat_cos",
@@ -23,13 +23,13 @@ pub const BEAT_FEATURES: [&str; 7] = [
 /// Beats per minute at tempo feature 0.
 pub const REFERENCE_BPM: f64 = 120.0;
 
-/// Beats on either side that smooth a beat's time.
+/// Beats on either side that the smoothing uses.
 const REACH: usize = 4;
 
-/// Most seconds that smoothing moves a beat: one frame, the precision of tracking.
+/// Largest shift of a smoothed beat in seconds: one frame, the precision of tracking.
 const MOST_MOVED: f64 = 1.0 / FPS;
 
-/// Beats on either side of a moment that the local tempo averages.
+/// Beats on either side of a moment whose distances the local tempo averages.
 const TEMPO_REACH: f64 = 2.0;
 
 /// The beats of a song in seconds, with the bars if they are known.
@@ -49,7 +49,8 @@ pub struct Bars {
 }
 
 impl Pulse {
-    /// Beats at these `seconds`; `None` unless they are at least two, finite and increasing.
+    /// Beats at these `seconds`; `None` unless `seconds` has at least two finite, increasing
+    /// values.
     pub fn new(seconds: Vec<f64>) -> Option<Self> {
         let increasing = seconds.windows(2).all(|pair| pair[0] < pair[1]);
         let sound = seconds.len() >= 2 && increasing && seconds.iter().all(|s| s.is_finite());
@@ -65,7 +66,7 @@ impl Pulse {
         Self::new(vec![start, start + seconds_per_beat])
     }
 
-    /// The beats of a tracker, which are rounded to frames, smoothed: each moves by at most a frame
+    /// Smoothed beats of a tracker, which rounds them to frames. Each beat moves by at most a frame
     /// towards the line fitted to four beats on either side. `None` for fewer than two beats.
     pub fn tracked(beats: &Beats) -> Option<Self> {
         let tracked = beats.times();
@@ -91,7 +92,7 @@ impl Pulse {
         }
     }
 
-    /// The beats in bars of `beats_per_bar`, at least 1, one of which begins at the beat nearest to
+    /// The beats in bars of `beats_per_bar`, at least 1. A bar begins at the beat nearest to
     /// `downbeat` seconds.
     pub fn with_downbeat(self, beats_per_bar: u32, downbeat: f64) -> Self {
         let downbeat = self.position(downbeat).round();
@@ -112,7 +113,7 @@ impl Pulse {
         &self.seconds
     }
 
-    /// Beats from the first one to a moment.
+    /// Beats from the first beat to a moment.
     pub fn position(&self, seconds: f64) -> f64 {
         position(&self.seconds, seconds)
     }
@@ -175,7 +176,7 @@ pub fn position(beats: &[f64], seconds: f64) -> f64 {
     last as f64 + (seconds - from) / (to - from)
 }
 
-/// The least-squares line through `values` at 0, 1, ..., read at `place`.
+/// The least-squares line through `values` at 0, 1, ..., evaluated at `place`.
 fn fitted(values: &[f64], place: f64) -> f64 {
     let n = values.len() as f64;
     let centre = (n - 1.0) / 2.0;
@@ -245,7 +246,7 @@ mod tests {
         for name in ["bar_sin", "bar_cos", "bar_known"] {
             assert!(row(&unknown, name).iter().all(|v| *v == 0.0), "{name}");
         }
-        // The beat at 2.5 s begins a bar of three, so the one at 1 s does not.
+        // The beat at 2.5 s begins a bar of three, so the beat at 1 s does not.
         let known = pulse().with_downbeat(3, 2.4).features(frames);
         assert!(row(&known, "bar_known").iter().all(|v| *v == 1.0));
         let (sine, cosine) = (row(&known, "bar_sin"), row(&known, "bar_cos"));

@@ -7,15 +7,15 @@ use rubato::{Fft, FixedSync, Resampler, WindowFunction};
 
 use crate::SAMPLE_RATE;
 
-/// Fewest samples of a block at the lower rate: the filter then passes about 0.91 of the lower
-/// Nyquist frequency and stops everything above it, as soxr's "HQ" does.
+/// Fewest samples of a block at the lower rate. The filter then passes about 0.91 of the lower
+/// Nyquist frequency and stops all frequencies above Nyquist, as soxr's "HQ" does.
 const BLOCK: usize = 288;
 
-/// Resamples pieces of a signal to [`SAMPLE_RATE`], with linear phase and without delay. It buffers
-/// less than a block.
+/// Resamples pieces of a signal to [`SAMPLE_RATE`], with linear phase and without delay. The buffer
+/// contains less than a block.
 pub(crate) struct Resampling {
     rate: u32,
-    /// `None` if the signal has the rate already.
+    /// `None` if the signal has the target rate already.
     resampler: Option<Fft<f32>>,
     /// Samples that do not yet fill a block.
     pending: Vec<f32>,
@@ -62,7 +62,7 @@ impl Resampling {
         if missing <= self.resampled.capacity() - self.resampled.len() {
             return Ok(());
         }
-        // Grows by a quarter: doubling would need most of the memory of a song.
+        // The buffer grows by a quarter, because doubling would need most of the memory of a song.
         let step = missing.max(self.resampled.len() / 4);
         self.resampled.try_reserve_exact(step)
     }

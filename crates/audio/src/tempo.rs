@@ -1,6 +1,6 @@
 //! Tempo from the autocorrelation of an onset envelope.
 //!
-//! Source: librosa 0.11 `feature.tempogram` and `feature.tempo`: a prior of one octave around
+//! Source: librosa 0.11 `feature.tempogram` and `feature.tempo` with a prior of one octave around
 //! 120 beats per minute.
 
 use std::f64::consts::TAU;
@@ -10,7 +10,7 @@ use rustfft::algorithm::Radix4;
 use rustfft::num_complex::Complex64;
 use rustfft::{Fft, FftDirection};
 
-/// Frames of a window, and lags of the autocorrelation.
+/// Frames of a window, and number of lags of the autocorrelation.
 pub const LAGS: usize = 240;
 
 /// Frames in a minute: a lag of `lag` frames is `1800 / lag` beats per minute.
@@ -21,7 +21,7 @@ const PRIOR_BPM: f64 = 120.0;
 const STATED_OCTAVES: f64 = 0.1;
 /// Largest distance from a stated tempo, in octaves.
 const STATED_REACH: f64 = 0.3;
-/// Lowest tempo that is too fast.
+/// Estimated tempos are below this limit.
 const TOO_FAST_BPM: f64 = 320.0;
 /// Windows of a task; fixed, so that sums do not depend on the number of threads.
 const WINDOWS: usize = 256;
@@ -44,8 +44,8 @@ pub fn estimate(onset_envelope: &[f32]) -> Tempo {
     choose(onset_envelope, log_prior)
 }
 
-/// The tempo of `onset_envelope`, `[T]`, any scale, near `stated` beats per minute: not its half or
-/// double.
+/// The tempo of `onset_envelope`, `[T]`, any scale, near `stated` beats per minute, without its
+/// half and double.
 pub fn estimate_near(onset_envelope: &[f32], stated: f64) -> Tempo {
     // The nearest whole lag is always allowed.
     let nearest = (FRAMES_PER_MINUTE / stated)
@@ -61,7 +61,7 @@ pub fn estimate_near(onset_envelope: &[f32], stated: f64) -> Tempo {
     choose(onset_envelope, log_prior)
 }
 
-/// The whole lag at which the autocorrelation and the prior of its tempo agree best.
+/// The tempo of the whole lag with the largest log autocorrelation plus log prior.
 fn choose(onset_envelope: &[f32], log_prior: impl Fn(f64) -> f64) -> Tempo {
     let tempogram_mean = tempogram_mean(onset_envelope);
     let mut best = (f64::NEG_INFINITY, 1);
@@ -77,8 +77,8 @@ fn choose(onset_envelope: &[f32], log_prior: impl Fn(f64) -> f64) -> Tempo {
     }
 }
 
-/// Mean over all frames of the autocorrelation of the Hann window around each, divided by its
-/// largest magnitude: `[240]`.
+/// Mean over all frames of the frame's autocorrelation in a Hann window, divided by its largest
+/// magnitude: `[240]`.
 fn tempogram_mean(onset_envelope: &[f32]) -> Vec<f64> {
     let frames = onset_envelope.len();
     let extended = extend(onset_envelope);

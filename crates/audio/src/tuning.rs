@@ -15,7 +15,7 @@ const HIGHEST_HZ: f64 = 4000.0;
 const PEAK_THRESHOLD: f32 = 0.1;
 /// 440 Hz, four octaves down.
 const REFERENCE_HZ: f64 = 27.5;
-/// Bars of the histogram over one bin of the transform.
+/// Histogram bars per bin of the transform.
 const BARS: usize = 100;
 
 /// A spectral peak between two bins.

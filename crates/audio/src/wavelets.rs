@@ -16,7 +16,7 @@ use crate::cqt::{BINS, BINS_PER_OCTAVE, OCTAVES, bin_frequency};
 /// Samples of a frame, after its octave's stride.
 pub(crate) const FRAME: usize = 1024;
 
-/// Share of a row's magnitude sum; the smallest magnitudes below it are dropped.
+/// Share of a row's magnitude sum that is dropped, smallest magnitudes first.
 const DROPPED_SHARE: f64 = 0.01;
 
 /// One filter: weights of neighbouring bins of a frame's spectrum.
@@ -70,7 +70,7 @@ pub(crate) fn all(tuning: f64) -> Vec<Wavelet> {
 struct Kernel {
     /// Cycles per sample at the working rate.
     frequency: f64,
-    /// First sample and the one after the last, counted from the centre.
+    /// First sample and the sample after the last, counted from the centre.
     start: f64,
     end: f64,
     /// Distance of the frame's samples at the working rate.
@@ -101,12 +101,12 @@ impl Kernel {
     }
 
     /// Magnitude sum, relative to `gain`, of the bins that the frame lacks because of its stride.
-    /// It decides close calls of the sparsification.
+    /// The sum decides borderline cases of the sparsification.
     ///
     /// ```text
     /// |H(x)| = |sin(pi x)| / (pi x (x^2 - 1)),  x bins of a transform as long as the wavelet away
     /// ```
-    /// For large `x` the mean of the sine is 2 / pi, and the sum of `x^-3` an integral.
+    /// For large `x` the mean of `|sin|` is 2 / pi, and the sum of `x^-3` is an integral.
     fn tail(&self) -> f64 {
         let full = FRAME as f64 * self.stride;
         let bin_width = (self.end - self.start) / full;
@@ -132,8 +132,8 @@ impl Kernel {
     }
 }
 
-/// Drops the smallest magnitudes and cuts the row to the rest. `tail` is the magnitude sum beyond
-/// the row.
+/// Drops the smallest magnitudes and cuts the row to the remaining bins. `tail` is the magnitude
+/// sum beyond the row.
 fn sparsify(row: &[Complex64], tail: f64) -> Wavelet {
     let mut sorted: Vec<f64> = row.iter().map(|w| w.norm()).collect();
     let total = sorted.iter().sum::<f64>() + tail;

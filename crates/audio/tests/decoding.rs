@@ -1,4 +1,4 @@
-//! Decoding: the same half second in four formats, odd files, and damaged ones.
+//! Decoding of half a second in four formats, of unusual files, and of damaged files.
 
 use std::f64::consts::TAU;
 use std::io::Cursor;
@@ -64,7 +64,7 @@ fn read(bytes: Vec<u8>) -> Result<Waveform, Error> {
     decode_reader(Cursor::new(bytes), None, "memory")
 }
 
-/// Root mean square of the difference. A shift by one sample would be 0.02.
+/// Root mean square of the difference. A shift by one sample would give 0.02.
 fn deviation(found: &[f32], expected: &[f64]) -> f64 {
     let pairs = found.iter().zip(expected);
     let squares: f64 = pairs.map(|(a, b)| (f64::from(*a) - b).powi(2)).sum();
@@ -78,7 +78,7 @@ fn four_formats_give_the_same_samples() {
         let found = decode(&fixture(extension)).expect("the fixture decodes");
         assert_eq!((found.source_rate, found.source_channels), (SAMPLE_RATE, 2));
         assert_eq!(found.damage(), None, "{extension}");
-        // Encoder delay and padding are gone: as many samples as were encoded, in their places.
+        // Encoder delay and padding are removed: all samples are in their places.
         assert_eq!(found.samples.len(), SAMPLES, "{extension}");
         let error = deviation(&found.samples, &expected);
         assert!(error < tolerance, "{extension}: {error}");

@@ -1,14 +1,16 @@
-//! Smoothness of new motions of BVH files where something is joined: over the seam of a loop and
-//! around key frames, beside the rest of the motion.
+//! Smoothness of new motions at the seam of a loop and around key frames, relative to the rest of
+//! the motion.
 //!
 //! ```sh
 //! cargo run --release -p kinegrad-matching --example matching_seams -- --seeds 3 dance.bvh
 //! ```
 //!
-//! prints for each file and seed of the loop the seam's step and its change of velocity as parts of
-//! the 95th percentile of all others, and for key frames at a quarter, a half and three quarters of
-//! the file the mean jerk of the second around as a part of the jerk elsewhere, the same of that
-//! second of the file, and the jerk as a part of that second's.
+//! prints for each file and seed:
+//! - the step and the change of velocity at a loop's seam, relative to the 95th percentile of the
+//!   rest;
+//! - for key frames at a quarter, a half and three quarters of the file: the mean jerk in the
+//!   second around the key frame relative to the jerk elsewhere, the same ratio in the file, and
+//!   the jerk relative to the file's.
 
 use kinegrad_capture::Bvh;
 use kinegrad_matching::{Example, Job, Keyframe, Length, Looping, Made, Seam, jerk_around, jerks};
@@ -90,7 +92,7 @@ fn keyframe(source_time: f64) -> Keyframe {
     }
 }
 
-/// An example with as many frames a second as what was made of it.
+/// An example at the frame rate of the motion that was made of it.
 fn thinned(example: &Example, made: &Made) -> Bvh {
     let frames = made.layout.to_frames(example).expect("an example");
     made.layout.to_bvh(&frames).expect("an example")

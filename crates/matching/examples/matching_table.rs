@@ -1,13 +1,13 @@
-//! Measures of new motions of BVH files over settings, each the mean of several seeds.
+//! Measures of new motions of BVH files under several settings, averaged over seeds.
 //!
 //! ```sh
 //! cargo run --release -p kinegrad-matching --example matching_table -- \
 //!     --seeds 5 --joints Hips,Spine dance.bvh
 //! ```
 //!
-//! prints one table for all files together as examples: the presets, then K, alpha, patch size,
-//! pyramid ratio, steps, parts and coherence, each changed by itself. `--presets` leaves the latter out.
-//! `--joints` names the joints that are measured; without it all are.
+//! prints one table with all files together as examples: the presets, then K, alpha, patch size,
+//! pyramid ratio, steps, parts and coherence, each changed alone. `--presets` limits the table to
+//! the presets. `--joints` names the measured joints; the default is all joints.
 
 use std::time::Instant;
 

@@ -1,11 +1,11 @@
-//! Seconds that a motion of twice a BVH file's length takes with the settings of the published program.
+//! Time to make a motion of twice a BVH file's length with the settings of the published program.
 //!
 //! ```sh
 //! cargo run --release -p kinegrad-matching --example matching_time -- --rounds 9 dance.bvh
 //! ```
 //!
-//! prints the least and the median of the synthesis alone, from matrix to matrix, and of a job,
-//! with the file's conversion to a matrix and back.
+//! prints the least and the median seconds of the synthesis alone, from matrix to matrix, and of a
+//! job, which converts the file to a matrix and back.
 
 use std::time::Instant;
 

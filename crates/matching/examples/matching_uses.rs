@@ -1,15 +1,15 @@
-//! Measures of bodies put together from two motions, and of a motion in the manner of another.
+//! Measures of bodies combined from two motions, and of a motion in the style of another.
 //!
 //! ```sh
 //! cargo run --release -p kinegrad-matching --example matching_uses -- --seeds 5 dance.bvh walk.bvh
 //! ```
 //!
-//! prints for the legs of the second file under the body of the first, and for the second in the manner
-//! of the first, the mean distance of the new motion's windows of 15 frames to the nearest of either
-//! file: over the joints of the legs and over all others. Below stand the same distances of the second
-//! file as it is, and of new motions of the first alone. In time is the correlation of the legs'
-//! rotations with those of the second file at the same moments. Jerk is the 95th percentile, as a part
-//! of that of the file that jerks more.
+//! makes two kinds of motion: the legs of the second file under the body of the first, and the
+//! second file in the style of the first. The table contains the mean distance of the new motion's
+//! windows of 15 frames to the nearest window of either file, over the joints of the legs and over
+//! all others. Further rows are the second file itself, and new motions of the first alone. "In
+//! time" is the correlation of the legs' rotations with the second file at the same moments. Jerk
+//! is the 95th percentile, relative to the file with more jerk.
 
 use kinegrad_capture::Bvh;
 use kinegrad_matching::{
@@ -85,8 +85,8 @@ fn main() {
     print("second as it is", &[distances(&made, &frames, &second)]);
 }
 
-/// Distances of a motion's windows to those of both files, over the legs' joints and all others, and its
-/// jerk.
+/// Distances of a motion's windows to those of both files, over the legs' joints and all others,
+/// and the motion's jerk.
 fn distances(made: &Made, motion: &Frames, second: &Example) -> [f64; 6] {
     let layout = &made.layout;
     let both = [
@@ -142,7 +142,7 @@ fn correlation(one: &Frames, other: &Frames) -> f64 {
     sums[0] / (sums[1] * sums[2]).sqrt()
 }
 
-/// Means, and standard deviations of several.
+/// Prints the means, and the standard deviations of several rows.
 fn print(name: &str, rows: &[[f64; 6]]) {
     let n = rows.len() as f64;
     let cells = (0..6).map(|column| {

@@ -11,7 +11,7 @@ pub enum Constraint {
     Channels {
         /// The channels.
         channels: Vec<usize>,
-        /// The motion, `[frames, channels]` with all channels, as long as the new one.
+        /// The motion, `[frames, channels]` with all channels, as long as the new motion.
         motion: Frames,
     },
     /// A frame with fixed values.
@@ -26,7 +26,7 @@ pub enum Constraint {
         from: usize,
         /// Frames of the new motion.
         frames: usize,
-        /// Frames before and after it that are blended towards the source.
+        /// Frames before and after the key frame that are blended towards the source.
         reach: usize,
     },
 }
@@ -40,11 +40,11 @@ impl Constraint {
 
     /// Applies `constraints` to the motion of a level, `[frames, channels]`.
     ///
-    /// Key frames are exact, or averaged if they fall into one frame of a coarse level. Frames around
-    /// them blend into those of the source, with a weight that falls to 0 within the reach or before
-    /// the next key frame of the channel, so that patches of the source match at every level. Fixed
+    /// Key frames are exact, or averaged if they fall into one frame of a coarse level. Frames
+    /// around a key frame blend into the source, so that its patches match at every level. The
+    /// weight falls to 0 within the reach or before the next key frame of the channel. Fixed
     /// channels are set last. `is_loop`: the last frame is followed by the first. Returns true for
-    /// each blended frame; empty without key frames.
+    /// each blended frame; without key frames, the list is empty.
     ///
     /// # Panics
     /// If a channel does not exist.
@@ -84,14 +84,14 @@ mod tests {
         Constraint::apply_all(std::slice::from_ref(&key), &mut frames, false);
         let second: Vec<f32> = (0..21).map(|t| frames.frame(t)[1]).collect();
         assert_eq!(second[10], 2.0);
-        // The neighbours are those of the source, weighted, and constant beyond its ends.
+        // The neighbours blend into the source, which is constant beyond its ends.
         assert_eq!(second[9], 3.0 * falloff(1, 4));
         assert_eq!(second[7], 5.0 * falloff(3, 4));
         assert_eq!(second[12], 5.0 * falloff(2, 4));
         assert_eq!((second[3], second[17]), (0.0, 0.0));
         assert!((0..21).all(|t| frames.frame(t)[0] == 0.0));
-        // At a level of a third of the frames the source goes three times as fast, and the bend is as
-        // much shorter.
+        // At a level of a third of the frames the source is three times as fast and the blend a
+        // third as long.
         let mut coarse = Frames::zeros(7, 2);
         Constraint::apply_all(&[key], &mut coarse, false);
         let second: Vec<f32> = (0..7).map(|t| coarse.frame(t)[1]).collect();
@@ -115,7 +115,7 @@ mod tests {
         assert_eq!(coarse.frame(1)[0], 5.0);
     }
 
-    /// A key of channel 0 (and 1, if `both`) with a value that stays.
+    /// A key frame of channel 0 (and 1, if `both`) with a constant value.
     fn still(frame: usize, of: usize, both: bool, value: f32, reach: usize) -> Constraint {
         let channels = if both { vec![0, 1] } else { vec![0] };
         Constraint::Keyframe {
@@ -142,12 +142,12 @@ mod tests {
             let found = [20, 21, 26, 40].map(|t| frames.frame(t)[0]);
             assert_eq!(found, [1.0, -2.0, 5.0, 3.0], "{reach}");
             assert_eq!([26, 40].map(|t| frames.frame(t)[1]), [5.0, 3.0]);
-            // Between two that reach each other the frames are of both alone.
+            // Frames between two key frames that reach each other blend only these two.
             if reach > 20 {
                 assert!((30..36).all(|t| (3.0..=5.0).contains(&frames.frame(t)[1])));
             }
         }
-        // One frame of a coarse level has the mean of two.
+        // One frame of a coarse level has the mean of two key frames.
         let keys = [still(20, 60, false, 1.0, 5), still(21, 60, false, 3.0, 5)];
         let mut coarse = Frames::zeros(6, 2);
         Constraint::apply_all(&keys, &mut coarse, false);

@@ -9,8 +9,8 @@ use crate::{Distance, Pool};
 /// Registers summed at a time.
 const REGISTERS: usize = 4;
 
-/// Replaces the frame distances of `patches` of a synthesis by their distances to all patches of a
-/// pool. No later patch reads the frame distances of its first frame.
+/// Replaces the frame distances of `patches` of a synthesis by patch distances to all patches of a
+/// pool. No later patch reads the frame distances of an earlier patch's first frame.
 pub(crate) struct Diagonals<'a> {
     pub(crate) pool: &'a Pool,
     pub(crate) distance: Distance,

@@ -2,9 +2,9 @@
 
 use kinegrad_capture::Axis;
 
-/// The displacements of a path, `[frames]`: the difference to the frame before, on every axis but
-/// `absolute`, which keeps its value. Frame 0 gets the place of frame 1, as in the published program:
-/// for a path from the origin this is its first displacement. Source: docs/sources/genmm.md.
+/// The displacements of a path, `[frames]`: the difference to the frame before, on every axis
+/// except `absolute`, which keeps its value. As in the published program, frame 0 gets the place of
+/// frame 1: the first displacement of a path from the origin. Source: docs/sources/genmm.md.
 pub fn displacements(path: &[[f64; 3]], absolute: Option<Axis>) -> Vec<[f64; 3]> {
     let of = |t: usize, axis: usize| match t {
         _ if absolute.is_some_and(|absolute| absolute as usize == axis) => path[t][axis],
@@ -15,8 +15,8 @@ pub fn displacements(path: &[[f64; 3]], absolute: Option<Axis>) -> Vec<[f64; 3]>
     (0..path.len()).map(of_frame).collect()
 }
 
-/// The path of displacements, `[frames]`, from `start`: their running sum on every axis but `absolute`.
-/// Frame 0 is ignored on the others.
+/// The path of displacements, `[frames]`, from `start`: their running sum on every axis except
+/// `absolute`. The sum ignores frame 0.
 pub fn places(
     displacements: &[[f64; 3]],
     start: [f64; 3],

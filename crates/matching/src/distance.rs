@@ -7,11 +7,11 @@ use crate::Frames;
 
 /// Channels are padded to a multiple of the widest register.
 const LANES: usize = 16;
-/// Block of frames of both sides that is loaded once: as many sums as there are registers.
+/// Rows of the block of frame pairs that is loaded once; the registers hold the block's sums.
 const ROWS: usize = 2;
 const MORE_ROWS: usize = 4;
 const COLUMNS: usize = 4;
-/// Bytes of `y` that fit the fastest cache while all of `x` passes.
+/// Bytes of `y` that stay in the fastest cache while all of `x` is read.
 const BLOCK: usize = 16 << 10;
 
 /// Largest deviation of a constant channel, relative to values of 1: the precision of angles
@@ -19,10 +19,10 @@ const BLOCK: usize = 16 << 10;
 const STRAY: f32 = 1e-6;
 
 /// The channels of examples, split into moving and constant ones. Constant channels, such as
-/// fingers, add the same to all distances of a frame, which is summed once.
+/// fingers, add the same sum to all distances of a frame.
 pub(crate) struct Moving {
     moving: Vec<usize>,
-    /// With the constant value.
+    /// Constant channels with their values.
     still: Vec<(usize, f32)>,
 }
 
@@ -50,7 +50,7 @@ impl Moving {
     pub(crate) fn padded(&self, frames: &Frames) -> Padded {
         let stride = self.moving.len().next_multiple_of(LANES);
         let values = vec![0.0; frames.frames() * stride + LANES];
-        // Registers across two cache lines are loaded twice.
+        // A register that spans two cache lines is loaded twice.
         let first = values.as_ptr().align_offset(size_of::<f32>() * LANES);
         let mut padded = Padded {
             stride,
@@ -62,7 +62,8 @@ impl Moving {
         padded
     }
 
-    /// Replaces the frames of `padded` by equally many `frames`; returns whether each changed.
+    /// Replaces the frames of `padded` by equally many `frames`; returns true for each frame that
+    /// changed.
     pub(crate) fn renew(&self, padded: &mut Padded, frames: &Frames) -> Vec<bool> {
         let (stride, first) = (padded.stride, padded.first);
         let values = &mut padded.values[first..first + frames.frames() * stride];
@@ -191,7 +192,7 @@ fn tile<S: Simd, const R: usize, const C: usize>(
     columns: &[f32],
     stride: usize,
 ) -> [[f32; C]; R] {
-    // Loops, as closures would be compiled without the instruction set.
+    // Loops, because closures would be compiled without the instruction set.
     let mut a: [&[S::f32s]; R] = [&[]; R];
     for (r, row) in rows.chunks_exact(stride).enumerate() {
         a[r] = S::as_simd_f32s(row).0;
@@ -243,7 +244,7 @@ mod tests {
                 Frames::new(channels, key.normals(frames * channels))
             };
             let (x, mut y) = (of(n, 0), of(m, 1));
-            // Every third channel stands still in the example, but for the last bits.
+            // Every third channel of the example is constant, except for the last bits.
             for (at, value) in y.values_mut().iter_mut().enumerate() {
                 if (at % channels).is_multiple_of(3) {
                     *value = 0.4 + 1e-7 * value.clamp(-1.0, 1.0);

@@ -1,4 +1,4 @@
-//! Locks the feet of a new motion where those of its examples rest.
+//! Locks the feet of a new motion where the feet of its examples rest.
 
 use kinegrad_capture::{Bvh, RootPose};
 use kinegrad_motion::feet::{Leg, lock, without_short_runs};
@@ -12,13 +12,13 @@ use crate::{Error, Example, MotionMatrix, Part, Sliding};
 const RESTING: f64 = 0.25;
 /// Height above the lowest sole position, in leg lengths, that counts as near the floor.
 const NEAR: f64 = 0.15;
-/// Shortest contact in frames; shorter gaps are closed.
+/// Shortest contact in frames; shorter gaps between contacts are closed.
 const SHORTEST: usize = 3;
 /// Frames over which a correction fades.
 const BLEND: usize = 5;
 
-/// The motion `bvh` with its feet locked where those of the examples rest. `origins`: for each
-/// part the example and frame that each frame continues. An error if no foot has two bones above it.
+/// The motion `bvh` with its feet locked where the examples' feet rest. `origins`: for each part
+/// the example and frame that each frame continues. Fails if no foot has two bones above it.
 pub(crate) fn lock_feet(
     layout: &MotionMatrix,
     bvh: &Bvh,

@@ -47,7 +47,7 @@ impl Frames {
     /// Frame `t`, `[channels]`.
     ///
     /// # Panics
-    /// If there is none.
+    /// If frame `t` does not exist.
     pub fn frame(&self, t: usize) -> &[f32] {
         &self.values[t * self.channels..(t + 1) * self.channels]
     }
@@ -60,7 +60,7 @@ impl Frames {
     /// Concatenation of matrices along frames.
     ///
     /// # Panics
-    /// Panics if there is none, or their channels differ.
+    /// Panics if `parts` is empty or the channels differ.
     pub fn joined(parts: &[Self]) -> Self {
         let channels = parts[0].channels;
         assert!(parts.iter().all(|part| part.channels == channels));
@@ -71,7 +71,7 @@ impl Frames {
     /// The channels `columns` in that order, `[frames, columns]`.
     ///
     /// # Panics
-    /// Panics if there are no columns, or one is not there.
+    /// Panics if `columns` is empty or a column does not exist.
     pub fn columns(&self, columns: &[usize]) -> Self {
         let rows = self.values.chunks_exact(self.channels);
         let values = rows.flat_map(|row| columns.iter().map(|&column| row[column]));
@@ -79,7 +79,7 @@ impl Frames {
     }
 
     /// Linear resampling to `frames` with half-pixel centres: frame i is read at max(0, (i + 0.5) n
-    /// / frames - 0.5), clamped at the end. There is no low-pass filter.
+    /// / frames - 0.5), clamped at the end. No low-pass filter is applied.
     pub fn resampled(&self, frames: usize) -> Self {
         let scale = self.frames() as f64 / frames as f64;
         self.read_at(frames, |i| ((i + 0.5) * scale - 0.5).max(0.0))

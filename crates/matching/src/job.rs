@@ -45,18 +45,19 @@ pub struct Fixed {
     pub motion: Example,
 }
 
-/// A job. By default twice the length of the examples, with the settings of the published program.
+/// A job. The default is twice the length of the examples and the settings of the published
+/// program.
 #[derive(Clone, Debug, Default)]
 pub struct Job {
     /// The settings of the synthesis.
     pub settings: Settings,
-    /// Length of the motion; by default that of the fixed motions or the content, else twice the
-    /// examples.
+    /// Length of the motion; by default the length of the fixed motions or the content, else twice
+    /// the examples.
     pub length: Option<Length>,
     /// Seed of the noise.
     pub seed: u64,
-    /// A motion whose coarse level replaces the noise: the new motion does the same in the style of
-    /// the examples, at the same length.
+    /// A motion whose coarse level replaces the noise: the new motion has this content in the style
+    /// of the examples, at the same length.
     pub content: Option<Example>,
     /// The axis that points up in the files.
     pub up: UpAxis,
@@ -66,11 +67,11 @@ pub struct Job {
     pub heading: bool,
     /// Division of the body.
     pub parts: PartChoice,
-    /// Key frames with their source motions; none is the first example.
+    /// Key frames with their source motions; the default source is the first example.
     pub keyframes: Vec<(Keyframe, Option<Example>)>,
     /// Fixed parts.
     pub fixed: Vec<Fixed>,
-    /// Locks feet where those of the examples rest. This also moves legs of key frames and of fixed
+    /// Locks feet where the examples' feet rest. Locking also moves legs of key frames and of fixed
     /// parts, and the seam of a loop.
     pub lock_feet: bool,
 }
@@ -79,8 +80,8 @@ impl Job {
     /// Synthesises a motion.
     ///
     /// # Errors
-    /// For settings out of range, motions that do not match, examples shorter than a patch, and
-    /// unknown parts or times.
+    /// Fails for settings out of range, motions that do not match, examples shorter than a patch,
+    /// and unknown parts or times.
     pub fn make(&self, examples: &[Example]) -> Result<Made, Error> {
         self.settings.validate()?;
         let contacts = match examples.first() {
@@ -165,7 +166,7 @@ impl Job {
             }
         }
         let is_loop = self.settings.looping != Looping::Off;
-        // A loop with key frames cannot be rotated: the first with a smooth seam is taken.
+        // A loop with key frames cannot be rotated: the first attempt with a smooth seam is taken.
         let attempts = match is_loop && !constraints.is_empty() && content.is_none() {
             true => MAX_LOOPS,
             false => 1,
@@ -213,7 +214,7 @@ impl Job {
     }
 
     /// Warps the trajectory through the places of key frames, limits jerk, and converts to BVH.
-    /// `usual`: the largest 95th percentile of jerk of the source motions, with fixed parts.
+    /// `usual`: with fixed parts, the largest 95th percentile of jerk of the source motions.
     fn finished(
         &self,
         layout: &mut MotionMatrix,
@@ -232,7 +233,7 @@ impl Job {
         let points: Vec<(usize, [f64; 2])> = points.collect();
         match points.iter().min_by_key(|(frame, _)| *frame) {
             Some((0, place)) => layout.start_at(*place),
-            // The start of a loop is free: its first place determines where it is.
+            // The start of a loop is free: the first place determines the loop's position.
             Some(point) if is_loop => layout.start_through(frames, *point),
             _ => {}
         }
@@ -246,7 +247,8 @@ impl Job {
         layout.to_bvh(frames)
     }
 
-    /// Length of the new motion; `conditions` are the motions that set it, with their frames.
+    /// Length of the new motion; `conditions`: the motions that set the length, with their numbers
+    /// of frames.
     fn frames(
         &self,
         layout: &MotionMatrix,

@@ -22,16 +22,16 @@ pub struct Keyframe {
     pub time: f64,
     /// Time of the pose in its source, in seconds.
     pub source_time: f64,
-    /// File of the pose; none is the first example.
+    /// File of the pose; the default is the first example.
     pub file: Option<String>,
-    /// The body part with the pose, named as in [`Part::named`]; none is the body.
+    /// The body part with the pose, named as in [`Part::named`]; the default is the body.
     pub part: Option<String>,
-    /// Horizontal place of the root joint, in file units. The root trajectory is warped through it;
-    /// none leaves it free.
+    /// Horizontal place of the root joint, in file units. The root trajectory is warped through
+    /// this place; the default is a free trajectory.
     pub place: Option<[f64; 2]>,
     /// Seconds before and after that blend into the pose; 0.4 by default.
     pub reach: Option<f64>,
-    /// Its name in messages: the file and its number there.
+    /// Name in messages: the file and the key frame's number in the file.
     #[serde(skip)]
     pub name: String,
 }
@@ -47,7 +47,7 @@ impl Keyframe {
     /// seconds, optionally `file`, `part`, `place` and `reach`.
     ///
     /// # Errors
-    /// For a malformed file.
+    /// Fails for a malformed file.
     pub fn read(text: &str, file: &str) -> Result<Vec<Self>, Error> {
         let hint = "docs/matching.md describes files of key frames";
         let mut parsed: Document = read_toml(text, file, hint)?;
@@ -86,8 +86,8 @@ impl Keyframe {
     }
 
     /// The constraint of a motion of `frames` frames: the pose of `source`, whose matrix is
-    /// `poses`, without the horizontal trajectory. An error for a time outside of the motion or the
-    /// source, and an unknown part.
+    /// `poses`, without the horizontal trajectory. Fails for a time outside of the motion or the
+    /// source, and for an unknown part.
     pub fn constraint(
         &self,
         layout: &MotionMatrix,
@@ -119,7 +119,7 @@ impl Keyframe {
             None => Part::body(layout),
         };
         let mut channels = part.channels(layout).channels;
-        // The horizontal trajectory is of displacements, not places.
+        // The horizontal trajectory consists of displacements, not places.
         channels.retain(|channel| {
             *channel == layout.height() || !layout.root_channels().contains(channel)
         });

@@ -1,8 +1,9 @@
 //! New motion from one or a few examples, without training: GenMM, generative motion matching.
 //!
-//! Patches, short stretches of the examples, are matched with a coarse start of noise and averaged
-//! where they overlap, from coarse to fine. Source: W. Li and others, Example-based Motion Synthesis
-//! via Generative Motion Matching (2023), and its published program; docs/sources/genmm.md.
+//! Patches are short pieces of the examples. They are matched with a coarse start of noise, from
+//! coarse to fine, and averaged where they overlap. Source: W. Li and others, Example-based Motion
+//! Synthesis via Generative Motion Matching (2023), and its published program;
+//! docs/sources/genmm.md.
 //!
 //! ```
 //! use kinegrad_matching::{Frames, Preset, Request, Settings, synthesize};

@@ -1,4 +1,4 @@
-//! Limits jerk at constraints to that of the rest of the motion.
+//! Limits jerk at constraints to the jerk of the rest of the motion.
 //!
 //! Motion around key frames and next to fixed parts is smoothed as much as needed; constraints stay
 //! exact.
@@ -17,9 +17,9 @@ const AROUND: f64 = 1.4;
 const OVER: f64 = 1.25;
 /// Half width of the surroundings of a key frame, in seconds.
 const NEAR: f64 = 0.5;
-/// Seconds beyond it over which smoothing falls off.
+/// Seconds beyond [`NEAR`] over which smoothing falls off.
 const FADE: f64 = 0.2;
-/// First strength of smoothing and the factor to the next.
+/// First strength of smoothing, and the factor between successive strengths.
 const FIRST: f64 = 0.05;
 const STRONGER: f64 = 3.0;
 /// Frames of the shortest motion that is smoothed.
@@ -69,8 +69,8 @@ pub fn jerk_around(jerks: &[f64], frame: f64, rate: f64) -> [f64; 2] {
     })
 }
 
-/// Smooths a motion around its key frames until the jerk there is at most 1.4 times that elsewhere.
-/// `is_loop`: both sides of the seam are smoothed alike; otherwise the ends are free.
+/// Smooths a motion around its key frames until the jerk there is at most 1.4 times the jerk
+/// elsewhere. `is_loop`: both sides of the seam are smoothed alike; otherwise the ends are free.
 pub(crate) fn around_keyframes(
     layout: &MotionMatrix,
     frames: &mut Frames,
@@ -115,8 +115,8 @@ pub(crate) fn around_keyframes(
     Ok(())
 }
 
-/// Smooths around the key frame `key`; returns whether it was needed. `keep_ends`: the ends do not
-/// change.
+/// Smooths around the key frame `key`; returns true if smoothing was needed. `keep_ends`: the ends
+/// do not change.
 fn around_one(
     layout: &MotionMatrix,
     frames: &mut Frames,
@@ -152,8 +152,8 @@ fn around_one(
 }
 
 /// Smooths the free channels of a motion with fixed parts where the jerk is above 1.25 times
-/// `usual`, the 95th percentile of the source motions. Joints below a fixed one are smoothed in
-/// world coordinates: a back that is still relative to its hips shakes with them.
+/// `usual`, the 95th percentile of the source motions. Joints below a fixed joint are smoothed in
+/// world coordinates: a back that is still relative to shaking hips shakes too.
 pub(crate) fn over_fixed_parts(
     layout: &MotionMatrix,
     frames: &mut Frames,
@@ -165,7 +165,7 @@ pub(crate) fn over_fixed_parts(
     }
     let border = Border::of(layout, frames, constraints)?;
     let mut voted = frames.clone();
-    // To world rotations, and back below.
+    // Converts to world rotations; the inverse follows below.
     border.turn(&mut voted, |parent| parent);
     let mut strengths = vec![0.0; frames.frames() - 3];
     for _ in 0..MOST_OVER {
@@ -219,7 +219,7 @@ impl Border {
         })
     }
 
-    /// Rotates the joints, by the parents' rotations as changed with `by`.
+    /// Rotates the joints by the parents' rotations, each transformed with `by`.
     fn turn(&self, frames: &mut Frames, by: impl Fn(Quaternion) -> Quaternion) {
         for (first, parents) in &self.joints {
             for (t, &parent) in parents.iter().enumerate() {

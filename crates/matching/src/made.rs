@@ -27,7 +27,7 @@ pub struct Made {
 }
 
 impl Made {
-    /// Measures over the rotations of these joints, by index; of all if empty.
+    /// Measures over the rotations of the joints with these indices; over all joints if empty.
     pub fn measures(&self, joints: &[usize]) -> Option<Measures> {
         let (motion, examples) = self.rotations(joints);
         Measures::of(&motion, &examples)
@@ -39,7 +39,7 @@ impl Made {
         self.synthesis.origins.iter().map(of).collect()
     }
 
-    /// Runs of each part that follow an example.
+    /// Runs of frames that follow an example, for each part.
     pub fn runs(&self) -> Vec<Vec<Run>> {
         let origins = self.synthesis.origins.iter();
         origins.map(|origins| Run::all(origins)).collect()
@@ -51,13 +51,13 @@ impl Made {
         Stillness::of(&motion, &examples)
     }
 
-    /// The seam of a loop; none of other motions.
+    /// The seam of a loop; `None` for other motions.
     pub fn seam(&self, looping: Looping) -> Option<Seam> {
         let is_loop = looping != Looping::Off;
         is_loop.then(|| Seam::of(&self.layout, &self.bvh)).flatten()
     }
 
-    /// Rotations of these joints in the motion and the examples; of all if empty.
+    /// Rotations of these joints in the motion and the examples; of all joints if empty.
     fn rotations(&self, joints: &[usize]) -> (Frames, Vec<Frames>) {
         let all: Vec<usize> = (0..self.layout.joints().len()).collect();
         let joints = if joints.is_empty() { &all } else { joints };

@@ -1,11 +1,15 @@
 //! Motions of any skeleton as matrices, and back to BVH.
 //!
-//! A frame contains, in this order: the local rotation of each joint as six numbers
-//! ([`rotation6d`](crate::rotation6d)); the local position of every other joint whose position
-//! changes; the contact of each foot, in the first of six channels; optionally the change of heading,
-//! to which root rotation and displacement are then relative; the root trajectory, its height
-//! absolute and its horizontal position as the displacement from the frame before. Lengths are
-//! scaled by 1 / ceil(largest component of an offset). Source: GenMM; docs/sources/genmm.md.
+//! A frame contains, in this order:
+//! - the local rotation of each joint as six numbers ([`rotation6d`](crate::rotation6d));
+//! - the local position of each joint, except the root joint, whose position changes;
+//! - the contact of each foot, in the first of six channels;
+//! - optionally the change of heading; root rotation and displacement are then relative to the
+//!   heading;
+//! - the root trajectory: absolute height and horizontal displacement from the frame before.
+//!
+//! Lengths are scaled by 1 / ceil(largest component of an offset). Source: GenMM;
+//! docs/sources/genmm.md.
 
 use kinegrad_capture::{Axis, Bvh, RootPose, UpAxis};
 use kinegrad_motion::Quaternion;
@@ -25,7 +29,7 @@ use skeleton::{ancestors, common_root_joint, position_ranges, scale};
 const ROTATION: usize = 6;
 /// Speed in scaled units a frame below which a foot is in contact.
 const CONTACT: f64 = 0.018;
-/// Change of a position, in scaled units, that is rounding.
+/// Largest change of a position due to rounding, in scaled units.
 const STILL: f64 = 1e-5;
 
 /// An example motion.
@@ -60,9 +64,9 @@ pub struct MotionMatrix {
     frame_time: f64,
     /// The joint whose trajectory carries the body.
     pub(crate) root_joint: usize,
-    /// Joints above the root joint, if nothing else hangs on them.
+    /// Joints above the root joint, if these have no other descendants.
     ancestors: Vec<usize>,
-    /// Position of the ancestors in a new motion, with no rotation.
+    /// Position of the unrotated ancestors in a new motion.
     base: [f64; 3],
     translated: Vec<usize>,
     /// Indices of the joints whose contact is matched.
@@ -77,14 +81,14 @@ impl MotionMatrix {
     /// downsampled by powers of two.
     ///
     /// # Errors
-    /// Without examples; if joints, bones or frame rates differ; if the first lacks channels for a
-    /// motion of another; if all bones have length 0.
+    /// Fails without examples; if joints, bones or frame rates differ; if the first example lacks
+    /// channels for the motion of another; if all bones have length 0.
     pub fn new(examples: &[Example], options: MatrixOptions) -> Result<Self, Error> {
         Self::with(examples, &[], options)
     }
 
-    /// [`new`](Self::new), with the same errors, with further motions that parts or poses are taken
-    /// from: the root joint and the joints whose position changes are those of all motions.
+    /// [`new`](Self::new), with the same errors, with further motions as sources of parts or poses.
+    /// All motions determine the root joint and the joints whose position changes.
     pub fn with(
         examples: &[Example],
         others: &[&Example],
@@ -186,7 +190,7 @@ impl MotionMatrix {
     }
 
     /// Channels of the root trajectory: the change of heading in radians, if motions are relative
-    /// to it, then x, y and z.
+    /// to the heading, then x, y and z.
     pub fn root_channels(&self) -> std::ops::Range<usize> {
         self.channels() - 3 - usize::from(self.heading.is_some())..self.channels()
     }
@@ -196,8 +200,8 @@ impl MotionMatrix {
         self.channels() - 3 + self.up as usize
     }
 
-    /// Local poses. Motion of the ancestors is moved into the root joint: in some files the hips
-    /// travel, in others of the same skeleton the node above them does.
+    /// Local poses, with the motion of the ancestors moved into the root joint: in some files the
+    /// hips travel, in others of the same skeleton the node above the hips.
     fn locals(&self, bvh: &Bvh, t: usize) -> Vec<RootPose> {
         let mut poses = bvh.locals(t);
         if self.ancestors.is_empty() {
@@ -226,7 +230,7 @@ impl MotionMatrix {
     /// The matrix of an example, `[frames, channels]`, after downsampling.
     ///
     /// # Errors
-    /// For another skeleton or frame rate, and numbers beyond single precision.
+    /// Fails for another skeleton or frame rate, and numbers beyond single precision.
     pub fn to_frames(&self, example: &Example) -> Result<Frames, Error> {
         self.must_match(example)?;
         let bvh = &example.bvh;
@@ -273,7 +277,7 @@ impl MotionMatrix {
     /// first example.
     ///
     /// # Errors
-    /// If it is not finite. It panics if it has other channels.
+    /// Fails if a value is not finite. Panics if the channels differ.
     pub fn to_bvh(&self, frames: &Frames) -> Result<Bvh, Error> {
         assert_eq!(frames.channels(), self.channels());
         let joints = self.joints().len();

@@ -1,8 +1,9 @@
 //! Nearest example patches.
 //!
 //! The distance of two patches is a sum of frame distances along a diagonal: D[i, j] is the sum
-//! over k of ||x[i + k] - y[j + k]||^2, so each pair of frames is compared once. A running sum would
-//! reorder close neighbours. Tiles of rows that exceed the cache are computed twice.
+//! over k of ||x[i + k] - y[j + k]||^2, so each pair of frames is compared once. A running sum
+//! would reorder nearly equal distances by rounding. Tiles of rows that exceed the cache are
+//! computed twice.
 
 use std::borrow::Cow;
 
@@ -27,10 +28,10 @@ pub enum Distance {
 /// Nearest patches.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Matches {
-    /// The nearest example patch of each patch of the synthesis, by its number in the pool; the
-    /// first of equally near ones.
+    /// For each patch of the synthesis, the pool number of the nearest example patch; the first of
+    /// equally near patches.
     pub nearest: Vec<usize>,
-    /// The distance to it, divided by completeness if there is any.
+    /// The distance to the nearest patch, divided by completeness if `alpha` is set.
     pub distances: Vec<f32>,
     /// The distance of each example patch to the nearest patch of the synthesis.
     pub smallest: Vec<f32>,
@@ -57,7 +58,7 @@ pub struct Search<'a> {
 /// Distances kept for the next search.
 struct Cache {
     synthesis: Padded,
-    /// Rows of each tile but the last.
+    /// Rows of each tile except the last.
     rows: usize,
     /// Distances of all patches.
     tiles: Vec<Vec<f32>>,
@@ -77,7 +78,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// One of `searches` at a time, which share the cache.
+    /// Shares the cache with other searches, `searches` in all.
     #[must_use]
     pub fn among(self, searches: usize) -> Self {
         Self {
@@ -90,9 +91,9 @@ impl<'a> Search<'a> {
     /// smallest D[i, j] / (`alpha` + min over i of D[i, j]), or without `alpha` the smallest D[i,
     /// j]. The result depends neither on the number of threads nor on earlier searches.
     ///
-    /// `bent`: true for frames blended into a key frame, or empty. Patches with such frames do not
-    /// count for the minimum over i, if others are left: they equal the example from the first step
-    /// on, and the rest of the motion would avoid that part of the example.
+    /// `bent`: true for frames blended into a key frame, or empty. If other patches are left,
+    /// patches with blended frames do not count for the minimum over i. They equal the example from
+    /// the first step on, and the rest of the motion would avoid that part of the example.
     ///
     /// # Panics
     /// Panics if the channels differ, or either side is shorter than a patch.
@@ -180,7 +181,7 @@ impl<'a> Search<'a> {
                 row += 1;
                 continue;
             }
-            // Up to a gap long enough that no frame is compared twice.
+            // The run ends at a gap long enough that no frame is compared twice.
             let mut end = row + 1;
             let mut ahead = end;
             while ahead < rows.min(end + p) {

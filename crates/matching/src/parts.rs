@@ -43,8 +43,8 @@ struct Entry {
     root_trajectory: bool,
 }
 
-/// Common part names: words in the names of their joints; true if the root trajectory belongs to
-/// them.
+/// Common parts: name, words in the joint names, and true if the root trajectory belongs to the
+/// part.
 const COMMON: [(&str, &str, bool); 3] = [
     ("legs", "leg thigh shin knee ankle foot toe hipjoint", true),
     (
@@ -70,8 +70,9 @@ impl Part {
         }
     }
 
-    /// Parts by the branches of the skeleton: the trunk, and a limb for each long chain below it,
-    /// with the trunk joint above. The root trajectory belongs to the trunk and the legs.
+    /// Parts by the branches of the skeleton: the trunk, and a limb for each long chain below the
+    /// trunk. A limb includes the trunk joint above. The root trajectory belongs to the trunk and
+    /// the legs.
     pub fn automatic(layout: &MotionMatrix) -> Vec<Self> {
         let joints = layout.joints();
         let reach = reach(joints);
@@ -114,11 +115,11 @@ impl Part {
     }
 
     /// The parts of a TOML file: tables `[[part]]` with `name`, `joints` (names), `below` (joints
-    /// with their descendants) and `root_trajectory` (whether it belongs to the part). All other
+    /// with their descendants) and `root_trajectory` (true if it belongs to the part). All other
     /// joints form a part called `rest`.
     ///
     /// # Errors
-    /// For a malformed file, unknown joints, and parts without joints.
+    /// Fails for a malformed file, unknown joints, and parts without joints.
     pub fn read(text: &str, file: &str, layout: &MotionMatrix) -> Result<Vec<Self>, Error> {
         let hint = "docs/matching.md describes files of parts";
         let parsed: Document = read_toml(text, file, hint)?;
@@ -172,10 +173,10 @@ impl Part {
     }
 
     /// The part of a name: one of `parts`; `legs`, `arms` or `head` by the words in joint names; or
-    /// a joint with its descendants. `origin`: that of the name, for messages.
+    /// a joint with its descendants. `origin`: the origin of the name, for messages.
     ///
     /// # Errors
-    /// Lists the known names.
+    /// The error lists the known names.
     pub fn named(
         name: &str,
         parts: &[Self],
@@ -196,7 +197,7 @@ impl Part {
                 let joint = bare(&joints[joint].name).to_lowercase();
                 words.split(' ').any(|word| joint.contains(word))
             };
-            // A hip is the joint of a thigh, or that of the whole body.
+            // A joint called hip is the joint of a thigh or of the whole body.
             let thigh = |hip: usize| {
                 let below = subtree(joints, hip);
                 let only_legs = |(other, words, _): &(&str, &str, bool)| {
@@ -213,7 +214,7 @@ impl Part {
                 .flat_map(|joint| subtree(joints, joint))
                 .collect();
             if !found.is_empty() {
-                // The joint above the legs turns them, so it belongs to them.
+                // The joint above the legs rotates the legs, so it belongs to this part.
                 found.extend(has_root.then(|| layout.root_joint));
                 found.sort_unstable();
                 found.dedup();
@@ -368,7 +369,7 @@ mod tests {
 
     #[test]
     fn hips_above_knees_are_of_the_legs_and_those_of_the_body_are_not() {
-        // The right one has an arm below it, as the hips of a body have.
+        // The right hip has an arm below it, like the hips of a body.
         let names = [
             ("LeftLeg", "left_hip"),
             ("LeftFoot", "left_ankle"),

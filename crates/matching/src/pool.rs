@@ -60,7 +60,7 @@ impl Pool {
     pub fn origin(&self, patch: usize) -> (usize, usize) {
         assert!(patch < self.patches);
         let example = self.first_patches.partition_point(|&first| first <= patch) - 1;
-        // Examples without patches begin at the same number as the one behind them.
+        // Examples without patches begin at the same number as the next example.
         (example, patch - self.first_patches[example])
     }
 

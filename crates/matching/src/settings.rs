@@ -12,14 +12,15 @@ use crate::Distance;
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum CoarseRatio {
-    /// In patch sizes of the longest example, K of the paper; written `5x`.
+    /// Coarsest length of the longest example in patch sizes, K of the paper; written `5x`.
     Patches(f64),
     /// As a part of the length of each motion; written `0.15`.
     Ratio(f64),
 }
 
 impl CoarseRatio {
-    /// The ratio of each motion's length, where the longest example has `longest` frames.
+    /// The coarsest length relative to each motion's length. `longest`: frames of the longest
+    /// example.
     pub fn ratio(self, patch_size: usize, longest: usize) -> f64 {
         match self {
             Self::Patches(patches) => patches * patch_size as f64 / longest as f64,
@@ -83,8 +84,8 @@ pub enum Looping {
     /// No loop.
     #[default]
     Off,
-    /// As in the published program: near the seam a frame is the mean of the means of both sides,
-    /// and half a patch away from it the motion jumps.
+    /// The loop of the published program: near the seam a frame is the mean of the means of both
+    /// sides, and half a patch from the seam the motion jumps.
     Halves,
     /// Every frame is the mean of all patches that cover it around the loop; the seam is not special.
     Even,
@@ -111,8 +112,9 @@ pub struct Settings {
     pub pyr_factor: f64,
     /// Length of the coarsest level, K. More patches give more variety and less coherence.
     pub coarse_ratio: CoarseRatio,
-    /// Completeness: example patches far from the motion gain weight. With a smaller value more of
-    /// the example appears, as measured; the paper states this and the contrary. None turns it off.
+    /// Completeness: example patches far from the motion gain weight. In measurements, a smaller
+    /// value shows more of the example; the paper states this and the contrary. `None` turns
+    /// completeness off.
     pub alpha: Option<f64>,
     /// Standard deviation of the noise of the coarsest level; 0 is no noise.
     pub sigma: f64,
@@ -133,7 +135,7 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// The settings of a preset. Body parts and contacts are not among them.
+    /// The settings of a preset, without body parts and contacts.
     pub fn of(preset: Preset) -> Self {
         let published = Self {
             patch_size: 11,
@@ -178,7 +180,7 @@ impl Settings {
     /// Checks the ranges of all settings.
     ///
     /// # Errors
-    /// Names the setting.
+    /// The error names the setting.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         let odd = self.patch_size % 2 == 1 && self.patch_size > 1;
         require(odd, "patch_size", self.patch_size, "an odd number from 3")

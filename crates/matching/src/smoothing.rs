@@ -15,8 +15,8 @@ const FIXED: f64 = 1e9;
 /// sum over t of (y[t] - x[t])^2 + sum over t of strength[t] (y[t+3] - 3 y[t+2] + 3 y[t+1] - y[t])^2
 /// ```
 ///
-/// where y equals x in key frames. Fixed channels do not change, nor do frames that no strength
-/// above 0 reaches.
+/// where y equals x in key frames. Fixed channels, and frames that no strength above 0 reaches, do
+/// not change.
 pub(crate) fn smooth(frames: &mut Frames, strength: &[f64], constraints: &[Constraint]) {
     let n = frames.frames();
     assert!(

@@ -13,7 +13,7 @@ use crate::{Constraint, Frames, Levels, Looping, Matches, Pool, Search, Settings
 pub struct Channels {
     /// Its name.
     pub name: String,
-    /// Its channels; those shared with other groups are averaged.
+    /// Its channels; channels shared with other groups are averaged.
     pub channels: Vec<usize>,
 }
 
@@ -38,13 +38,13 @@ pub struct Synthesis {
     /// The motion, `[frames, channels]`.
     pub frames: Frames,
     /// For each group, the example and frame that each frame of the motion continues,
-    /// `[groups][frames]`, from the patch around it in the last step.
+    /// `[groups][frames]`, from the last step's patch around the frame.
     pub origins: Vec<Vec<(usize, usize)>>,
 }
 
 impl Synthesis {
-    /// Rotates a loop to begin at the frame whose step and change of velocity from the frames
-    /// before are smallest relative to their means.
+    /// Rotates a loop to begin at the frame whose step and change of velocity are smallest,
+    /// relative to the means of both.
     pub fn rotate_to_smoothest_seam(&mut self) {
         let n = self.frames.frames();
         let apart = |terms: [(usize, f32); 3]| {
@@ -83,7 +83,8 @@ pub struct Request<'a> {
     pub frames: usize,
     /// The settings.
     pub settings: &'a Settings,
-    /// Groups of channels matched separately, which cover every channel. None: one group of all.
+    /// Groups of channels that are matched separately and cover every channel. Empty: one group of
+    /// all channels.
     pub groups: &'a [Channels],
     /// The constraints.
     pub constraints: &'a [Constraint],
@@ -115,15 +116,15 @@ impl Request<'_> {
 }
 
 /// Standard normal noise of a seed for a start of `frames` frames. Each `attempt`, from 0, has its
-/// own.
+/// own noise.
 pub fn start_noise(seed: u64, attempt: u64, frames: usize, channels: usize) -> Frames {
     let key = Key::new(seed, Purpose::Matching);
     let key = if attempt == 0 { key } else { key.at(attempt) };
     Frames::new(channels, key.normals(frames * channels))
 }
 
-/// The start of the coarsest level from the coarsest `examples` and standard normal `noise` of its
-/// length. Source: GenMM; docs/sources/genmm.md.
+/// The start of the coarsest level from the coarsest `examples` and standard normal `noise` of the
+/// same length. Source: GenMM; docs/sources/genmm.md.
 ///
 /// # Panics
 /// If the channels differ.
@@ -143,8 +144,8 @@ pub fn start(examples: &[Frames], noise: &Frames, sigma: f64, start: Start) -> F
     first
 }
 
-/// One step: matching against `search` over the patches of `pool`, then voting. `bent`: whether
-/// each frame was blended, from [`Constraint::apply_all`].
+/// One step: matching against `search` over the patches of `pool`, then voting. `bent`: true for
+/// each blended frame, from [`Constraint::apply_all`].
 ///
 /// # Panics
 /// As [`Search::nearest`].
@@ -176,7 +177,8 @@ pub fn step(
 /// threads.
 ///
 /// # Errors
-/// For settings out of range, an example or motion shorter than a patch, and no examples.
+/// Fails for settings out of range, an example or motion shorter than a patch, and without
+/// examples.
 ///
 /// # Panics
 /// If the channels of examples, groups or constraints do not fit.
@@ -189,7 +191,7 @@ pub fn synthesize(request: &Request<'_>, seed: u64) -> Result<Synthesis, Invalid
 /// [`synthesize`] from standard normal `noise` as long as the coarsest level.
 ///
 /// # Errors
-/// As [`synthesize`]. It panics as well if the noise has another length.
+/// As [`synthesize`]. Panics as well if the noise has another length.
 pub fn synthesize_from(request: &Request<'_>, noise: &Frames) -> Result<Synthesis, InvalidSetting> {
     refined(request, |examples, length| {
         assert_eq!(noise.frames(), length, "frames of noise");
@@ -202,7 +204,7 @@ pub fn synthesize_from(request: &Request<'_>, noise: &Frames) -> Result<Synthesi
 /// the examples.
 ///
 /// # Errors
-/// As [`synthesize`]. It panics as well if the content has other channels.
+/// As [`synthesize`]. Panics as well if the content has other channels.
 pub fn synthesize_like(
     request: &Request<'_>,
     content: &Frames,
@@ -213,8 +215,7 @@ pub fn synthesize_like(
     })
 }
 
-/// Refines the start of the coarsest level, made by `coarsest` from the examples at its length, at
-/// every level.
+/// Refines a coarse start at every level. `coarsest` makes the start from the coarsest examples.
 fn refined(
     request: &Request<'_>,
     coarsest: impl Fn(&[Frames], usize) -> Frames + Sync,
@@ -231,7 +232,8 @@ fn refined(
         [] => &body[..],
         groups => groups,
     };
-    // On a thread of the pool: from outside, each of many short loops would wait to be scheduled.
+    // Runs on a thread of the pool: from outside, each of many short loops would wait to be
+    // scheduled.
     Ok(rayon::scope(|_| {
         let mut current: Option<Frames> = None;
         let mut origins = Vec::new();

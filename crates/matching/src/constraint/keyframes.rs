@@ -3,8 +3,8 @@
 use super::Constraint;
 use crate::Frames;
 
-/// Least reach in frames of a level, about half a patch, so that patches of the source match there
-/// from the coarsest level on. Short levels have less, to leave room for the noise.
+/// Least reach in frames of a level, about half a patch, so that patches of the source match from
+/// the coarsest level on. Short levels have a shorter reach, to leave room for the noise.
 const LEAST_REACH: usize = 6;
 /// Least frames of a level for each frame of reach.
 const FRAMES_PER_REACH: usize = 8;
@@ -101,7 +101,7 @@ pub(super) fn apply(constraints: &[Constraint], frames: &mut Frames, is_loop: bo
     weights.map(|row| row.iter().any(|&w| w > 0.0)).collect()
 }
 
-/// Distance from `t` to the next other of `moments`, ahead or behind, around a loop of
+/// Distance from `t` to the next of the other `moments`, ahead or behind, around a loop of
 /// `loop_frames` frames.
 fn nearest(moments: &[usize], t: usize, ahead: bool, loop_frames: Option<usize>) -> Option<usize> {
     let others = moments.iter().copied().filter(|&other| other != t);

@@ -168,7 +168,7 @@ mod tests {
             placed.contains("the body has a place, and its root trajectory follows legs.bvh as part of `LeftLeg`"),
             "{placed}"
         );
-        // Parts that share the hips of one motion agree, of two they do not.
+        // Parts that share the hips agree if they are of one motion, and conflict otherwise.
         job.fixed.push(fixed("RightLeg", legs.clone()));
         job.keyframes.clear();
         job.make(&[walk("walk.bvh", 70)]).unwrap();

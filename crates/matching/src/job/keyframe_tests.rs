@@ -27,8 +27,8 @@ fn with(keyframes: &[Keyframe]) -> Job {
     }
 }
 
-/// Largest turn, in degrees, between the pose of a motion's frame and that of the walk at `from`, of
-/// the joints from `first` on, and how far their heights are apart.
+/// Largest rotation, in degrees, between frame `t` of a motion and frame `from` of the walk, over
+/// the joints from `first` on, and the difference of the heights.
 fn missed(made: &Made, t: usize, from: usize, first: usize) -> (f64, f64) {
     let (found, pose) = (made.bvh.locals(t), walk(70).bvh.locals(from));
     let turns = found[first..].iter().zip(&pose[first..]).map(|(a, b)| {
@@ -47,7 +47,7 @@ fn key_frames_close_together_are_all_met() {
             reach,
             ..key(time, source_time)
         };
-        // A later body does not change the leg before it, nor the reverse.
+        // Neighbouring key frames of a leg and of the body do not change each other.
         let keys = [
             at(1.0, 0.3, None),
             at(1.2, 1.7, None),
@@ -80,7 +80,7 @@ fn a_loop_with_a_key_frame_has_a_smooth_seam() {
 
 #[test]
 fn key_frames_near_an_end_jerk_little_more_than_the_rest() {
-    // The same walk at thrice its pace.
+    // The same walk at three times its speed.
     let text = crate::motion_matrix::tests::text(210, 1.0 / 10.0);
     let text = text.replace("Frame Time: 0.1\n", "Frame Time: 0.03333333\n");
     let wild = Example {

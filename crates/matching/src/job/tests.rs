@@ -108,7 +108,7 @@ fn key_frames_are_met() {
 
 #[test]
 fn a_pose_from_a_wilder_motion_jerks_little_more_than_the_rest() {
-    // The same walk at thrice its pace.
+    // The same walk at three times its speed.
     let mut text = crate::motion_matrix::tests::text(210, 1.0 / 10.0);
     text = text.replace("Frame Time: 0.1\n", "Frame Time: 0.03333333\n");
     let wild = Example {
@@ -223,7 +223,7 @@ fn a_motion_without_a_patch_is_refused() {
     assert!(job().make(&[]).is_err());
 }
 
-/// A body that sways above feet of which one rests while the other swings.
+/// A body that sways above its feet; one foot rests while the other swings.
 fn stepping() -> Example {
     let mut text = crate::motion_matrix::tests::text(1, 1.0 / 30.0);
     text = text.replace("Foot", "Shin").replace("Leg", "Thigh");
@@ -266,7 +266,7 @@ fn feet_are_locked_where_those_of_the_example_rest() {
     let slid = locked.sliding.unwrap();
     assert!(slid.in_contact > 0.1 && slid.before > 1.0, "{slid:?}");
     assert!(slid.after < 0.05 * slid.before, "{slid:?}");
-    // The file has it, and nothing above the legs moves.
+    // The file contains the locked feet, and nothing above the legs moves.
     let foot = locked.bvh.joint("LeftFoot").unwrap();
     let mut moved = 0;
     for t in 0..locked.bvh.frames() {

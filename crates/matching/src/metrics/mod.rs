@@ -20,7 +20,7 @@ use windows::{cheapest, segmented};
 const COVERED: usize = 30;
 /// Window of local diversity, in frames.
 const LOCAL: usize = 15;
-/// Distance of a covered window.
+/// Largest distance of a covered window.
 const THRESHOLD: f64 = 2.0;
 /// Most pairs of frames compared.
 const MOST_PAIRS: usize = 20_000_000;
@@ -29,24 +29,26 @@ const MOST_PAIRS: usize = 20_000_000;
 /// averaged over the frames of a window. Source: GANimator's evaluation; docs/sources/genmm.md.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Measures {
-    /// Part of the examples' windows of 30 frames, the last of each left out, whose distance to the
-    /// nearest window of the motion is below 2, which is loose: frames of a dance are 2 to 3 apart.
+    /// Fraction of the examples' windows of 30 frames, without each last one, whose distance to the
+    /// nearest window of the motion is below 2. This limit is loose: frames of a dance are 2 to 3
+    /// apart.
     pub coverage: f64,
-    /// Mean of these distances.
+    /// Mean distance of the examples' windows to the motion.
     pub window_cost: f64,
-    /// Mean distance of the motion's windows of 15 frames, the last left out, to the nearest window
+    /// Mean distance of the motion's windows of 15 frames, without the last, to the nearest window
     /// of the examples.
     pub local_diversity: f64,
-    /// Largest of these distances.
+    /// Largest distance of these windows to the examples.
     pub furthest_window: f64,
-    /// Mean distance of the motion's frames to the examples', minimised over cuts into segments of at
-    /// least 30 frames that each follow an example. None if all examples are too short for a cut.
+    /// Mean distance of the motion's frames to the examples', minimised over cuts into segments of
+    /// at least 30 frames. Each segment follows one example. `None` if all examples are too short
+    /// for a cut.
     pub global_diversity: Option<f64>,
 }
 
 impl Measures {
-    /// Measures `motion` against `examples`, both `[frames, channels]` of rotations. None if one
-    /// has fewer than 31 frames, or more than 20 million pairs of frames would be compared.
+    /// Measures `motion` against `examples`, both `[frames, channels]` of rotations. `None` if a
+    /// motion has fewer than 31 frames, or more than 20 million pairs of frames would be compared.
     ///
     /// # Panics
     /// Panics if the channels differ.
@@ -95,8 +97,8 @@ mod tests {
             (copy.local_diversity, copy.global_diversity),
             (0.0, Some(0.0))
         );
-        // The first half covers its own windows, and those that are less than 2 frames away: 22 of
-        // the 70 that start before frame 70.
+        // The first half covers its own windows and those less than 2 frames away: 22 of the 70
+        // windows that start before frame 70.
         let half = Measures::of(&line(0..50), &[example]).unwrap();
         assert_eq!(half.coverage, 22.0 / 70.0);
         assert_eq!(half.local_diversity, 0.0);
@@ -111,7 +113,7 @@ mod tests {
         assert!(Measures::of(&line(0..100), &[line(0..100), line(0..30)]).is_none());
         assert!(Measures::of(&line(0..100), &[]).is_none());
         assert!(Measures::of(&line(0..5000), &[line(0..5000)]).is_none());
-        // 40 frames are neither two segments of 30 nor one of an example of 31.
+        // 40 frames are neither two segments of 30 nor one segment of a 31-frame example.
         let uncut = Measures::of(&line(0..40), &[line(0..31)]).unwrap();
         assert!(uncut.global_diversity.is_none() && uncut.local_diversity.is_finite());
     }

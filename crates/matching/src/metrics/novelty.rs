@@ -42,7 +42,7 @@ impl Run {
 /// Copied parts of a motion, from its origins.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Novelty {
-    /// Part of the frames in runs of at least 30.
+    /// Fraction of the frames in runs of at least 30 frames.
     pub copied: f64,
     /// Longest run, in seconds.
     pub longest_copied_seconds: f64,

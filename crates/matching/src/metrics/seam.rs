@@ -6,18 +6,18 @@ use serde::Serialize;
 
 use crate::{MotionMatrix, percentile_95};
 
-/// The seam of a loop, relative to the 95th percentiles of the rest. Means over the joints, in
+/// The seam of a loop, relative to the 95th percentiles of the rest. Values are joint means in
 /// coordinates relative to the root.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Seam {
     /// The step from the last frame to the first.
     pub step: f64,
-    /// The change of velocity there.
+    /// The change of velocity at the seam.
     pub velocity: f64,
 }
 
 impl Seam {
-    /// The seam of a motion; none with fewer than four frames.
+    /// The seam of a motion; `None` for fewer than four frames.
     pub(crate) fn of(layout: &MotionMatrix, bvh: &Bvh) -> Option<Self> {
         let n = bvh.frames();
         if n < 4 {
@@ -62,7 +62,7 @@ impl Seam {
         })
     }
 
-    /// The larger of both.
+    /// Maximum of step and velocity.
     pub fn jump(&self) -> f64 {
         self.step.max(self.velocity)
     }

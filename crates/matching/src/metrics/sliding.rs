@@ -6,7 +6,7 @@ use serde::Serialize;
 /// Foot sliding in contact, before and after locking.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Sliding {
-    /// Part of the frames in contact, over all feet.
+    /// Fraction of the frames in contact, over all feet.
     pub in_contact: f64,
     /// Mean speed in contact before locking, in file units a second.
     pub before: f64,

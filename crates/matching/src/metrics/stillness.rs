@@ -4,14 +4,15 @@ use serde::Serialize;
 
 use crate::Frames;
 
-/// Threshold of a still frame, as a part of the examples' median change between frames that differ.
+/// Largest change of a still frame, relative to the examples' median change between frames that
+/// differ.
 const STILL: f64 = 0.1;
 
-/// A change that is rounding.
+/// Largest change due to rounding.
 const UNCHANGED: f64 = 1e-5;
 
-/// Part of still frames: frames whose rotations differ from the frame before by less than a tenth
-/// of the examples' median. Means of many different patches are still.
+/// Fractions of still frames: their rotations differ from the frame before by less than a tenth of
+/// the examples' median. Means of many different patches are still.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Stillness {
     /// Of the new motion.
@@ -21,7 +22,7 @@ pub struct Stillness {
 }
 
 impl Stillness {
-    /// From rotations, `[frames, channels]`. None with fewer than two frames.
+    /// Compares rotations, `[frames, channels]`. `None` for fewer than two frames.
     pub(crate) fn of(motion: &Frames, examples: &[Frames]) -> Option<Self> {
         let usual: Vec<f64> = examples.iter().flat_map(changes).collect();
         // Repeated frames are excluded from the median.
@@ -65,7 +66,7 @@ mod tests {
         let stopped = of(&walk(|t| t.min(79) as f32));
         assert!((stopped.motion - 20.0 / 99.0).abs() < 1e-12, "{stopped:?}");
         assert_eq!(stopped.examples, 0.0);
-        // Examples that rest themselves.
+        // Examples with still frames.
         let resting = walk(|t| t.max(30) as f32);
         let both = Stillness::of(&example, &[example.clone(), resting]).unwrap();
         assert_eq!((both.motion, both.examples), (0.0, 30.0 / 198.0));

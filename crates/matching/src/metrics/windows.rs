@@ -11,7 +11,7 @@ const ROWS: usize = 64;
 /// The frames of all targets, joined.
 struct ReferenceWindows {
     frames: Padded,
-    /// First frame and length of each.
+    /// First frame and length of each target.
     ranges: Vec<(usize, usize)>,
 }
 
@@ -164,7 +164,7 @@ mod tests {
                 let exact = sum(&motion_frames, &targets, i, i + window) / window as f64;
                 prop_assert!((found - exact).abs() < 1e-4);
             }
-            // All segments, not those alone that are shorter than twice the shortest.
+            // All segments, including those longer than twice the shortest.
             let mut total = vec![f64::INFINITY; frames + 1];
             total[0] = 0.0;
             for e in window..=frames {
@@ -175,7 +175,8 @@ mod tests {
                 }
             }
             let found = segmented(&motion_frames, &targets, window);
-            // No segments fit where every target is too short for one of all frames that cannot be cut.
+            // No segments fit if the motion cannot be cut and every target is shorter than the
+            // motion.
             let exact = total[frames] / frames as f64;
             prop_assert!(found == exact || (found - exact).abs() < 1e-4);
         }

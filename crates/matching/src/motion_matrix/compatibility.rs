@@ -12,7 +12,7 @@ const SAME_RATE: f64 = 0.01;
 /// Largest difference of a joint offset, as a part of the longest bone. Two people differ by up to a
 /// sixth; another unit or rest pose differs by more.
 const SAME_BONES: f64 = 0.25;
-/// Rotation (vector part of a quaternion) and distance (scaled units) that cannot be seen.
+/// Largest invisible rotation (vector part of a quaternion) and distance (scaled units).
 const UNSEEN: f64 = 1e-3;
 
 impl MotionMatrix {
@@ -47,7 +47,7 @@ impl MotionMatrix {
         Ok(())
     }
 
-    /// Checks sizes and directions of bones. The root joint and its ancestors have none.
+    /// Checks sizes and directions of bones. The root joint and its ancestors have no bones.
     pub(super) fn must_match_bones(&self, example: &Example) -> Result<(), Error> {
         let (own, other) = (bones(&self.bvh), bones(&example.bvh));
         let has_bone = |joint: &usize| {
@@ -107,7 +107,7 @@ impl MotionMatrix {
     }
 
     /// Checks that no ancestor of the root joint rotates or moves; otherwise the root trajectory is
-    /// not one over the ground. `option`: the one that needs it.
+    /// not relative to the ground. `option`: the option that requires this.
     pub(crate) fn must_have_upright_root<'a>(
         &self,
         motions: impl IntoIterator<Item = &'a Example>,
@@ -137,8 +137,8 @@ impl MotionMatrix {
     }
 }
 
-/// The offset of each joint. None where the position changes and the offset is not a bone, as for hips
-/// that move below a root.
+/// The offset of each joint. `None` where the position changes: the offset is then not a bone, as
+/// for hips that move below a root.
 fn bones(bvh: &Bvh) -> Vec<Option<[f64; 3]>> {
     let (still, ranges) = (bvh.locals(0), position_ranges(bvh));
     let joints = bvh.joints().iter().zip(still).zip(ranges).enumerate();

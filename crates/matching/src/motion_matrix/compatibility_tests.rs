@@ -1,4 +1,4 @@
-//! Motions that do not fit each other, and what travels in which of them.
+//! Incompatible motions, and motions in which different joints travel.
 
 use super::tests::{example, text};
 use super::*;
@@ -19,7 +19,7 @@ fn refused(examples: &[Example]) -> String {
     error.to_string()
 }
 
-/// The walk with places and turns of its first joints as `change` makes them.
+/// The walk, with the poses of its first joints changed by `change`.
 fn changed(file: &str, change: impl Fn(usize, &mut [RootPose])) -> Example {
     let walk = walk();
     let mut locals: Vec<RootPose> = (0..40).flat_map(|t| walk.bvh.locals(t)).collect();
@@ -51,7 +51,7 @@ fn bones_of_another_size_are_refused() {
         refused(&[walk(), parsed(&metres, "metres.bvh")]),
         "metres.bvh: the bone to `LeftFoot` is 0.4250 long, in walk.bvh 42.5000"
     );
-    // Another rest pose, and somebody a sixth smaller.
+    // Another rest pose, and a body a sixth smaller.
     let forth = text(40, 1.0 / 30.0).replace("OFFSET 0 -42.5 0", "OFFSET 0 0 42.5");
     let message = refused(&[walk(), parsed(&forth, "forth.bvh")]);
     assert!(
@@ -84,7 +84,7 @@ fn a_motion_with_another_root_joint_keeps_its_trajectory() {
             let start = [&back, &other.bvh].map(|bvh| bvh.world(0)[3].position);
             for t in 0..40 {
                 let [new, old] = [&back, &other.bvh].map(|bvh| bvh.world(t)[3].position);
-                // Where it starts is of the first example.
+                // The start is that of the first example.
                 let apart = [0, 1, 2].map(|i| (new[i] - start[0][i]) - (old[i] - start[1][i]));
                 if !heading {
                     assert!(length(apart) < 0.01, "{t}: {apart:?}");
@@ -145,7 +145,7 @@ fn what_the_first_example_cannot_write_is_refused() {
     );
     MotionMatrix::new(&[walk(), still.clone()], MatrixOptions::default()).unwrap();
     MotionMatrix::new(&[still], MatrixOptions::default()).unwrap();
-    // A joint that slides in a motion of which a part is taken slides in the new one.
+    // A joint that slides in the source of a part also slides in the new motion.
     let slides = text(40, 1.0 / 30.0).replace(
         "OFFSET -9 -5 0\nCHANNELS 3 ",
         "OFFSET -9 -5 0\nCHANNELS 6 Xposition Yposition Zposition ",
@@ -185,7 +185,7 @@ fn what_the_first_example_cannot_write_is_refused() {
 
 #[test]
 fn a_trajectory_within_a_turning_joint_has_no_heading() {
-    // A tail on the root, so that nothing above the hips carries them alone.
+    // A tail on the root: the hips are not the root's only child.
     let text = text(40, 1.0 / 30.0);
     let tail =
         "JOINT Tail\n{\nOFFSET 0 1 0\nCHANNELS 0\nEnd Site\n{\nOFFSET 0 1 0\n}\n}\n}\nMOTION";

@@ -99,7 +99,8 @@ impl MotionMatrix {
     }
 
     /// Makes root rotations and displacements relative to the heading, and returns the changes of
-    /// heading, `[frames]`. The first frame gets the displacement and change of the second.
+    /// heading, `[frames]`. The first frame gets the displacement and heading change of the second
+    /// frame.
     pub(super) fn to_heading_frame(
         &self,
         poses: &mut [Vec<RootPose>],

@@ -9,14 +9,14 @@ use crate::smoothing::THIRD;
 /// Seconds over which a change of speed is spread.
 const FADE: f64 = 0.25;
 
-/// Weight of the first-order term in the banded system, relative to that of the step: the
+/// Weight of the first-order term in the banded system, relative to the weight of the step: the
 /// correction returns to the straight line within a second or two.
 const NEAR: f64 = 1e-3;
 
 impl MotionMatrix {
-    /// Warps a root trajectory so that at each frame `t` of `points` it is at the place of the point
-    /// (horizontal, file units). The first frame is fixed ([`start_at`](Self::start_at) moves it);
-    /// frames after the last point move with it.
+    /// Warps a root trajectory through the place of each of `points` (horizontal, file units) at
+    /// frame `t` of the point. The first frame is fixed ([`start_at`](Self::start_at) moves it);
+    /// frames after the last point move with that point.
     ///
     /// The offsets x minimise
     ///
@@ -109,8 +109,8 @@ fn offsets(n: usize, points: &[(usize, f64)], fade: f64, is_loop: bool) -> Vec<f
     offsets.collect()
 }
 
-/// The weight of the squared step to each frame. A change of speed longer than the time to the next
-/// point would overshoot it, so it is quicker between close points and beside them.
+/// The weight of the squared step to each frame. A change of speed that takes longer than the time
+/// to the next point would overshoot, so changes are quicker near close points.
 fn step_weights(n: usize, points: &[(usize, f64)], fade: f64) -> Vec<f64> {
     let mut times = vec![0];
     times.extend(points.iter().map(|(t, _)| *t));
@@ -203,7 +203,7 @@ mod tests {
 
     #[test]
     fn offsets_have_little_jerk() {
-        // From rest to rest within half a second, 0.3 m take 140 m/s^3.
+        // A move of 0.3 m from rest to rest within half a second takes 140 m/s^3.
         let alone = offsets(300, &[(15, 0.3)], FRAMES, false);
         assert!(jerk(&alone) < 30.0, "{}", jerk(&alone));
         let far = offsets(300, &[(120, 1.0)], FRAMES, false);

@@ -22,9 +22,9 @@ pub(crate) fn thinning(bvh: &Bvh) -> (usize, f64) {
 }
 
 /// The joint that moves most among those that carry the body: the first joints of the hierarchy, or
-/// a joint with most of the body below it that moves further than any bone is long. Among joints in
-/// a chain without branches, the lowest one that moves at least half as far. `ranges`: the range of
-/// each joint within its parent.
+/// a joint with most of the body below it that moves further than any bone is long. In a chain
+/// without branches, the lowest joint that moves at least half as far is taken. `ranges`: the range
+/// of each joint within its parent.
 pub(super) fn root_joint(bvh: &Bvh, ranges: &[f64]) -> usize {
     let joints = bvh.joints();
     // A sliding collar bone does not carry the body, nor does a back that sways behind a pelvis.
@@ -56,7 +56,7 @@ pub(super) fn root_joint(bvh: &Bvh, ranges: &[f64]) -> usize {
 }
 
 /// [`root_joint`] of several motions with the ranges `all`, `[motions][joints]`, and `ranges` over
-/// all of them: the lowest one in a chain without branches, which has the whole trajectory.
+/// all motions. In a chain without branches, the lowest root joint has the whole trajectory.
 pub(super) fn common_root_joint(bvh: &Bvh, all: &[Vec<f64>], ranges: &[f64]) -> usize {
     let own = all.iter().map(|ranges| root_joint(bvh, ranges));
     own.fold(root_joint(bvh, ranges), |joint, own| {
@@ -67,7 +67,7 @@ pub(super) fn common_root_joint(bvh: &Bvh, all: &[Vec<f64>], ranges: &[f64]) -> 
     })
 }
 
-/// The ancestors of a joint, its parent first; none if one of them has another child.
+/// The ancestors of a joint, its parent first; empty if an ancestor has another child.
 pub(super) fn ancestors(bvh: &Bvh, joint: usize) -> Vec<usize> {
     let joints = bvh.joints();
     let above = std::iter::successors(joints[joint].parent, |&parent| joints[parent].parent);
@@ -79,8 +79,8 @@ pub(super) fn ancestors(bvh: &Bvh, joint: usize) -> Vec<usize> {
     }
 }
 
-/// The factor that lengths are scaled by. The offset of the root joint is not a bone, but that of
-/// joint 0 counts in the published program.
+/// The scale factor of lengths. The offset of the root joint is not a bone, but the published
+/// program counts the offset of joint 0.
 pub(super) fn scale(example: &Example, root_joint: usize) -> Result<f64, Error> {
     let joints = example.bvh.joints().iter().enumerate();
     let bones = joints.filter(|&(index, _)| index == 0 || index != root_joint);

@@ -7,7 +7,7 @@ use kinegrad_motion::Quaternion;
 use super::skeleton::root_joint;
 use super::*;
 
-/// A layout of hips and two legs below a root that stays, `frames` of it.
+/// The BVH text of hips and two legs below a fixed root, `frames` frames.
 pub(crate) fn text(frames: usize, frame_time: f64) -> String {
     let mut text = "HIERARCHY\nROOT Root\n{\nOFFSET 0 0 0\n\
         CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n\
@@ -74,7 +74,7 @@ fn a_motion_comes_back_as_it_was() {
             assert!((found - value).abs() < 2e-3, "{t}: {found} {value}");
         }
     }
-    // The first displacement is one, and the height stays a height.
+    // Frame 0 has the displacement of frame 1, and the height is absolute.
     let root = layout.root_channels();
     let first = &frames.frame(0)[root.clone()];
     assert_eq!(first[0], frames.frame(1)[root.start]);

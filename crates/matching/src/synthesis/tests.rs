@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::{CoarseRatio, Distance, Preset};
 
-/// A motion of smooth channels, another for every seed.
+/// A motion of smooth channels, different for every seed.
 fn motion(seed: u64, frames: usize, channels: usize) -> Frames {
     let key = Key::new(seed, Purpose::Synthetic);
     let phases = key.uniforms(2 * channels);
@@ -258,7 +258,7 @@ fn a_loop_begins_where_it_is_smoothest() {
     let mut sorted = new.clone();
     sorted.sort_by(f32::total_cmp);
     assert!(new[149] < old[149] && new[149] < sorted[75]);
-    // Nothing but the beginning changes.
+    // Only the beginning of the loop changes.
     let first = (0..150).find(|&t| before.frames.frame(t) == turned.frames.frame(0));
     let first = first.unwrap();
     for t in 0..150 {
