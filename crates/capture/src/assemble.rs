@@ -7,10 +7,10 @@ use kinegrad_motion::FPS;
 use crate::error::{require, require_positive};
 use crate::{Error, RootSource, RootTrack};
 
-/// Times closer than this are equal, seconds: sums of durations are rounded.
+/// Largest difference of equal times, seconds: sums of durations are rounded.
 const SAME_TIME: f64 = 1e-6;
 
-/// A part of a take and its time in the music, stretched evenly to its length.
+/// A part of a take, stretched evenly to its time in the music.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Segment {
     /// Index of the take.
@@ -30,7 +30,7 @@ impl Segment {
     }
 }
 
-/// A root track at 30 frames per second and where each frame comes from.
+/// A root track at 30 frames per second and the source of each frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Assembly {
     /// The track. Frame `t` is at `t / 30` seconds of music; frames that no segment covers or
@@ -51,9 +51,9 @@ pub struct Moment {
     pub seconds: f64,
 }
 
-/// Plays `segments`, in order of time, of `takes` on a time line of `frames` frames at 30 per second,
-/// in coordinates of the capture: [`super::join`] removes the jumps. A frame on the border of two
-/// segments belongs to the later one.
+/// Plays `segments`, in order of time, of `takes` on a timeline of `frames` frames at 30 per
+/// second. The coordinates are those of the capture; [`super::join`] removes the jumps. A frame on
+/// the border of two segments belongs to the later one.
 ///
 /// # Errors
 /// [`Error::Setting`] for a take that does not exist, numbers that are not finite, lengths that are
@@ -159,7 +159,7 @@ mod tests {
     #[test]
     fn rounding_leaves_no_hole_between_pieces() {
         let take = counting(200, 30.0);
-        // Ends 0.1 + 0.2 are not 0.3.
+        // An end of 0.1 + 0.2 differs from 0.3.
         let plan: Vec<Segment> = (0..30)
             .map(|k| segment(0.0..3.0, f64::from(k) * 0.1, 0.1))
             .collect();

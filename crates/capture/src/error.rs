@@ -31,7 +31,7 @@ pub enum Error {
         hint: &'static str,
     },
 
-    /// A file has no marker or joint of a name, or several.
+    /// A file has no marker or joint of a name, or several of that name.
     #[error("{problem}")]
     #[diagnostic(help("{hint}"))]
     Name {
@@ -61,7 +61,7 @@ pub enum Error {
     #[diagnostic(transparent)]
     Document(#[from] DocumentError),
 
-    /// A plan, or a file it names, cannot be followed.
+    /// A plan, or a file that it names, cannot be used.
     #[error("{file}: {problem}")]
     #[diagnostic(help("{PLANS}"))]
     Plan {
@@ -153,7 +153,7 @@ pub(crate) fn require_positive(
     require(number.is_finite() && number > 0.0, key, number, allowed)
 }
 
-/// Text from a file in backticks, shortened to what a message can carry.
+/// Text from a file in backticks, shortened to fit a message.
 pub(crate) fn quote(text: &str) -> String {
     const LONGEST: usize = 40;
     let mut shown: String = text.chars().take(LONGEST).collect();

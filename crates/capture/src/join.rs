@@ -1,8 +1,9 @@
 //! Joins between segments, so that the root is continuous.
 //!
-//! After two successive frames that are not neighbours in the capture, all frames are turned about
-//! the vertical and moved on the floor, so that heading and velocity are continuous. The jumps in
-//! height and tilt are removed in the first frame and return over `fade_frames`, by the step
+//! Where two successive frames are not neighbours in the capture, all later frames are rotated
+//! about the vertical and moved on the floor, so that heading and velocity are continuous. The
+//! jumps in height and tilt are corrected in the first frame, and the correction fades over
+//! `fade_frames` with the weight
 //! ```text
 //! w = 1 - u^3 (10 - 15 u + 6 u^2),    u = frames since the border / fade_frames
 //! ```
@@ -22,7 +23,7 @@ use crate::{Assembly, Error, RootPose, RootSource, RootTrack};
 pub struct Joining {
     /// Frames over which a jump in height and tilt is faded out.
     pub fade_frames: usize,
-    /// Largest step in the capture between two successive frames, seconds, that is not a join. The
+    /// Largest step in the capture, in seconds, between two successive frames without a join. The
     /// default is 4.5 frames at 80 per second: 1.7 times the pace of the music.
     pub max_step_seconds: f64,
 }
@@ -92,7 +93,7 @@ struct Shift {
     border: usize,
     turn: Quaternion,
     floor: [f64; 2],
-    /// Metres from the captured height at the border up to the expected one.
+    /// Metres from the captured height at the border up to the expected height.
     rise: f64,
     /// Rotation vector in radians that takes the turned orientation at the border to the one
     /// before it.
@@ -168,7 +169,7 @@ mod tests {
         RootTrack::from_poses(poses.collect(), FPS).unwrap()
     }
 
-    /// Pieces of 30 frames from these frames of these takes.
+    /// Pieces of 30 frames, each from a take and its first frame.
     fn pieces(takes: &[RootTrack], from: &[(usize, usize)]) -> Assembly {
         let sources: Vec<&dyn RootSource> = takes.iter().map(|t| t as &dyn RootSource).collect();
         let segment = |(k, (take, first)): (usize, &(usize, usize))| Segment {
@@ -195,8 +196,7 @@ mod tests {
             prop_assert!(length(jump) < 1e-9, "the velocity is continuous: {jump:?}");
             let turning = angular_velocity(&track.orientations, FPS);
             prop_assert!(length(turning[29]) < 1e-9, "the orientation is continuous: {turning:?}");
-            // After the fade, nothing but a turn about the vertical and a move on the floor is
-            // left.
+            // After the fade, only a rotation about the vertical and a move on the floor are left.
             for t in 45..60 {
                 let captured = takes[0].pose(second + t - 30).unwrap();
                 let joined = track.pose(t).unwrap();
@@ -239,7 +239,7 @@ mod tests {
         let (track, _) = join(&pieces(&takes, &[(0, 50), (0, 0)]), &sharp).unwrap();
         let [_, height, _] = track.positions[30];
         assert!((height - takes[0].positions[0][1]).abs() < 1e-12);
-        // The heading continues all the same.
+        // The heading is still continuous.
         let yaws = [29, 30].map(|t| track.orientations[t].yaw());
         assert!((yaws[0] - yaws[1]).abs() < 1e-9);
     }

@@ -27,7 +27,7 @@ pub struct BeatGrid {
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrackedBeats {
     /// Times of the beats in seconds of music, at least two, increasing; the first starts a bar.
-    /// Before it and after the last, beats continue at the distance of the nearest two.
+    /// Before the first beat and after the last, beats continue at the distance of the nearest two.
     pub seconds: Vec<f64>,
     /// Beats in a bar, at least 1.
     pub beats_per_bar: u32,
@@ -67,7 +67,7 @@ impl Beats {
     /// Checks every number.
     ///
     /// # Errors
-    /// Names the one that is out of range.
+    /// The error names the number out of range.
     pub fn check(&self) -> Result<(), InvalidSetting> {
         let beats_per_bar = match self {
             Self::Grid(grid) => {

@@ -7,14 +7,14 @@ use kinegrad_motion::{FPS, Phrase, Quaternion, derive, style};
 use crate::error::require;
 use crate::{Error, RootSource, RootTrack};
 
-/// Frames after a phrase that its derivatives use: velocity one, acceleration two.
+/// Frames after a phrase that its derivatives use: one for velocity, two for acceleration.
 const DERIVATIVE_FRAMES: usize = 2;
 
-/// A run of valid frames at 30 per second with all channels of phrases but the
-/// derivatives. Made by [`stretches`].
+/// A run of valid frames at 30 per second with all channels of phrases except the derivatives. Made
+/// by [`stretches`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stretch {
-    /// First frame on the track's time line.
+    /// First frame on the track's timeline.
     pub first_frame: usize,
     positions: Vec<[f64; 3]>,
     orientations: Vec<Quaternion>,
@@ -23,7 +23,8 @@ pub struct Stretch {
 }
 
 /// The runs of valid frames of a track at 30 frames per second, each as long as it can be. `phase`
-/// `[frames]` is that of the whole track; style is measured over each run ([`style::describe`]).
+/// `[frames]` is the phase of the whole track; style is measured over each run
+/// ([`style::describe`]).
 ///
 /// # Errors
 /// [`Error::Setting`] for a track at another rate, [`Error::Motion`] for a phase of another length.
@@ -57,9 +58,9 @@ impl Stretch {
         self.positions.len()
     }
 
-    /// The phrase of some frames of this stretch, counted from its first, moved on the floor so
-    /// that it begins at x = z = 0. Derivatives use the frames after the range; at the end
-    /// of the stretch the last ones repeat.
+    /// The phrase of `frames` of this stretch, counted from the stretch's first, moved on the floor
+    /// to begin at x = z = 0. Derivatives use the frames after the range; at the end of the stretch
+    /// the last velocity repeats.
     ///
     /// # Errors
     /// [`Error::Setting`] if the range is empty or reaches beyond the stretch.
@@ -70,7 +71,7 @@ impl Stretch {
         require(within, "frames", found, allowed)?;
         let seen = frames.start..(frames.end + DERIVATIVE_FRAMES).min(self.frames());
         let [x0, _, z0] = self.positions[frames.start];
-        // Moved before it is rounded to single precision: the origin is where that is finest.
+        // Positions are moved before rounding to single precision, which is finest at the origin.
         let positions = self.positions[seen.clone()].iter();
         let positions = positions.map(|[x, y, z]| [x - x0, *y, z - z0]);
         let positions: Vec<[f64; 3]> = positions.collect();
@@ -80,7 +81,7 @@ impl Stretch {
     }
 
     /// Start frames of phrases of `length` frames, counted from the first frame of the stretch: one
-    /// every `hop` frames from frame `first` on. The rest at the end is dropped.
+    /// every `hop` frames from frame `first` on. The frames left at the end are dropped.
     ///
     /// # Errors
     /// [`Error::Setting`] if `length` or `hop` is 0.
@@ -93,8 +94,8 @@ impl Stretch {
         Ok(complete.collect())
     }
 
-    /// The phrases that begin at [`starts`](Self::starts), with the same errors, each with its first
-    /// frame on the track's time line.
+    /// The phrases that begin at [`starts`](Self::starts), with the same errors, each with its
+    /// first frame on the track's timeline.
     pub fn phrases(
         &self,
         first: usize,

@@ -30,9 +30,9 @@ pub struct RootPose {
 pub struct MarkerGaps {
     /// The marker's label in the file.
     pub marker: String,
-    /// Frames without it.
+    /// Frames without the marker.
     pub missing_frames: usize,
-    /// Those of them that were filled by a straight line.
+    /// Missing frames that were filled by a straight line.
     pub filled_frames: usize,
     /// Length of its longest gap in frames.
     pub longest_gap_frames: usize,
@@ -96,8 +96,8 @@ impl RootTrack {
         Self::from_poses(poses.map(pose).map(Some).collect(), rate)
     }
 
-    /// A track from poses `[frames]`, not valid where there is none; the pose there is the origin
-    /// with the identity.
+    /// A track from poses `[frames]`. Frames without a pose are not valid and have the origin with
+    /// the identity.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -150,7 +150,7 @@ impl RootTrack {
         })
     }
 
-    /// The longest runs of valid frames, in order.
+    /// The maximal runs of valid frames, in order.
     pub fn stretches(&self) -> Vec<std::ops::Range<usize>> {
         runs(&self.valid)
     }
@@ -213,7 +213,7 @@ pub(super) fn lerp(a: [f64; 3], b: [f64; 3], fraction: f64) -> [f64; 3] {
     [0, 1, 2].map(|i| a[i] + fraction * (b[i] - a[i]))
 }
 
-/// The longest runs of frames that are `valid`, in order.
+/// The maximal runs of frames that are `valid`, in order.
 pub(super) fn runs(valid: &[bool]) -> Vec<std::ops::Range<usize>> {
     let mut start = 0;
     let mut runs = Vec::new();

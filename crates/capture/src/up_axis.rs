@@ -24,8 +24,8 @@ impl UpAxis {
         }
     }
 
-    /// The same turn, world and body axes both given in the y-up frame: an upright rest pose
-    /// stays the identity.
+    /// The same turn, with world and body axes in the y-up frame: an upright rest pose stays the
+    /// identity.
     pub fn turn_to_y_up(self, turn: Quaternion) -> Quaternion {
         let [x, y, z] = self.to_y_up([turn.x, turn.y, turn.z]);
         Quaternion::new(turn.w, x, y, z)

@@ -1,11 +1,11 @@
-//! The joints of a file that was made of a clip, and how far they are from the clip's.
+//! The joints of a file that was made from a clip, and their distances from the clip's joints.
 
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_motion::vector::{length, minus};
 
 use super::Bvh;
 
-/// The joint that is furthest from where a clip has it.
+/// The joint with the largest distance from its place in a clip.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Deviation {
     /// Distance, metres.
@@ -31,8 +31,8 @@ impl Bvh {
         Joints::new(frames.collect(), places.len()).ok()
     }
 
-    /// The largest distance of a joint from that of the `clip` that [`Bvh::from_joints`] wrote. None
-    /// if a frame or a joint is missing.
+    /// The largest distance of a joint from the same joint of the `clip` that [`Bvh::from_joints`]
+    /// wrote. None if a frame or a joint is missing.
     pub fn deviation(
         &self,
         clip: &Joints,

@@ -4,8 +4,8 @@ use kinegrad_motion::Quaternion;
 
 use super::Axis;
 
-/// The angles in degrees about `axes`, each as the turns before leave it, of a quaternion of any
-/// norm but zero: of all that make the same rotation those nearest to `before`.
+/// The intrinsic angles in degrees about `axes` of a quaternion of any nonzero norm. Of all angles
+/// of the same rotation, those nearest to `before` are taken.
 pub(super) fn degrees(rotation: Quaternion, axes: [Axis; 3], before: [f64; 3]) -> [f64; 3] {
     let rotation = rotation.normalised();
     let columns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|e| rotation.rotate(e));
@@ -17,8 +17,8 @@ pub(super) fn degrees(rotation: Quaternion, axes: [Axis; 3], before: [f64; 3]) -
     let first_before = signed(before);
     let sine = entry(0, 2).clamp(-1.0, 1.0);
     if sine.abs() > 1.0 - 1e-12 {
-        // A quarter turn in the middle leaves the other two on one axis: the last stays and the
-        // first does the rest.
+        // After a middle angle of a quarter turn, the other two axes coincide: the last angle stays
+        // and the first takes the rest.
         let both = entry(2, 1).atan2(entry(1, 1)).to_degrees();
         let last = first_before[2];
         let first = both - last * sine.signum();
@@ -44,7 +44,7 @@ pub(super) fn degrees(rotation: Quaternion, axes: [Axis; 3], before: [f64; 3]) -
     }
 }
 
-/// Shifts each angle by full turns to be nearest to the one before; degrees.
+/// Shifts each angle by full turns to be nearest to the angle before; degrees.
 fn nearest(angles: [f64; 3], before: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|i| angles[i] - 360.0 * ((angles[i] - before[i]) / 360.0).round())
 }

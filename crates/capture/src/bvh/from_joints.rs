@@ -16,14 +16,14 @@ const END: f64 = 0.25;
 impl Bvh {
     /// A clip of `skeleton`'s joints as a file, with `units_per_metre`: 100 for centimetres.
     ///
-    /// The rest pose is the skeleton's reference pose, with the mean length of each bone in the clip.
-    /// The root has the body's heading; every other bone takes the smallest rotation from its
-    /// parent's. A BVH joint rotates all of its bones alike, so each bone at a branch begins with an
-    /// additional joint in the same place, named as `pelvis_to_left_hip`.
+    /// The rest pose is the skeleton's reference pose, with the mean length of each bone in the
+    /// clip. The root has the body's heading; every other bone takes the smallest rotation from its
+    /// parent's orientation. A BVH joint rotates all of its bones alike, so each bone at a branch
+    /// begins with an additional joint in the same place, such as `pelvis_to_left_hip`.
     ///
     /// # Errors
-    /// [`Error::Features`] for joints of another skeleton; [`Error::Setting`] if `units_per_metre` is
-    /// not positive, for a name that BVH cannot contain or values that overflow.
+    /// [`Error::Features`] for joints of another skeleton; [`Error::Setting`] if `units_per_metre`
+    /// is not positive, BVH cannot contain a name, or values overflow.
     pub fn from_joints(
         clip: &Joints,
         skeleton: &Skeleton,
@@ -65,7 +65,7 @@ impl BvhWriter {
             parents.filter(|parent| **parent == Some(joint)).count()
         };
         let mut joints = vec![Joint::new(names[0].clone(), None, [0.0; 3], None)];
-        // The place in the file of each joint of the skeleton.
+        // The file index of each joint of the skeleton.
         let mut place = vec![0; skeleton.joints()];
         let mut bones = Vec::new();
         for [start, end] in skeleton.chains().flatten() {

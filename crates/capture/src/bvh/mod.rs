@@ -32,7 +32,8 @@ pub enum Axis {
 /// The meaning of one number of a frame.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
 pub enum Channel {
-    /// A coordinate relative to the parent, in file units. It replaces that of the joint's OFFSET.
+    /// A coordinate relative to the parent, in file units. The value replaces the coordinate of the
+    /// joint's OFFSET.
     Position(Axis),
     /// A rotation in degrees, intrinsic: `Zrotation Xrotation` is `Rz Rx`.
     Rotation(Axis),
@@ -51,7 +52,7 @@ const CHANNELS: [(&str, Channel); 6] = [
 /// A joint of the hierarchy.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Joint {
-    /// Name, with any prefix, as it stands in the file.
+    /// Name as in the file, with any prefix.
     pub name: String,
     /// Index of the parent, smaller than that of the joint; none for the root.
     pub parent: Option<usize>,

@@ -86,7 +86,7 @@ impl<'a> Reader<'a> {
         word
     }
 
-    /// The rest of the line up to a brace: names may hold spaces and colons.
+    /// The rest of the line up to a brace: names may contain spaces and colons.
     fn name(&mut self) -> String {
         let end = self.rest.find(['{', '}']).unwrap_or(self.rest.len());
         let (name, rest) = self.rest.split_at(end);
@@ -124,7 +124,7 @@ impl<'a> Reader<'a> {
         self.expect("ROOT")?;
         let mut joints = Vec::new();
         let mut first_channel = 0;
-        // The joints whose braces are open, with whether their OFFSET and CHANNELS were seen.
+        // The joints with open braces, each with true where OFFSET and CHANNELS were seen.
         let mut open: Vec<(usize, bool, bool)> =
             vec![(self.open(&mut joints, None)?, false, false)];
         while let Some((current, offset_seen, channels_seen)) = open.last_mut() {

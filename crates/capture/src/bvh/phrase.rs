@@ -7,14 +7,14 @@ use super::{Bvh, Joint};
 use crate::Error;
 use crate::error::require_positive;
 
-/// End of the bone of a lone root, metres: in front of it, so that programs that draw bones show
-/// its heading.
+/// End of the bone of a lone root, metres. The end is in front of the root, so that programs that
+/// draw bones show the heading.
 const FRONT: [f64; 3] = [0.0, 0.0, 0.3];
 
 impl Bvh {
-    /// Place and orientation of a phrase as a file of one joint, `root`, at 30 frames per second, with
-    /// `units_per_metre`: 100 for centimetres. [`root_track`](Self::root_track) with the inverse scale
-    /// reads it back.
+    /// Place and orientation of a phrase as a file of one joint, `root`, at 30 frames per second,
+    /// with `units_per_metre`: 100 for centimetres. [`root_track`](Self::root_track) with the
+    /// inverse scale reads the file back.
     ///
     /// # Errors
     /// [`Error::Setting`] if `units_per_metre` is not positive or the phrase is not finite.
@@ -61,7 +61,7 @@ mod tests {
             let text = Bvh::from_phrase(&phrase, scale).unwrap().to_text();
             let read = Bvh::parse(text.as_bytes(), "phrase.bvh").unwrap();
             let track = read.root_track(1.0 / scale, UpAxis::Y).unwrap();
-            // The rate of phrases exactly: nothing is resampled.
+            // The rate is exactly that of phrases: nothing is resampled.
             assert_eq!((track.frames(), track.rate()), (150, FPS));
             for t in 0..150 {
                 let pose = track.pose(t).unwrap();

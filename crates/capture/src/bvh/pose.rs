@@ -1,4 +1,4 @@
-//! Forward kinematics: where the joints of a hierarchy are.
+//! Forward kinematics: places and orientations of a hierarchy's joints.
 
 use kinegrad_motion::Quaternion;
 

@@ -19,8 +19,8 @@ impl Bvh {
     /// Angles are unwrapped from frame to frame, the first from this file's first frame.
     ///
     /// # Errors
-    /// [`Error::Setting`] for a frame time that is not positive, no frames or half a frame, or a
-    /// value that is not finite.
+    /// [`Error::Setting`] for a frame time that is not positive, an empty motion, an incomplete
+    /// frame, or a value that is not finite.
     pub fn reposed(&self, frame_time: f64, locals: &[RootPose]) -> Result<Self, Error> {
         let allowed = "a positive number of seconds: 0.05 for 20 frames per second";
         require_positive("frame_time", frame_time, allowed)?;

@@ -7,7 +7,8 @@ use super::*;
 use crate::{Error, RootSource, UpAxis};
 
 /// A hip with rotations before positions, a chest that is moved, an arm that only turns, a hand
-/// without channels; names with colon and space, Windows line ends, exponents, no End Site twice.
+/// without channels; names with colon and space, Windows line ends, exponents, joints without End
+/// Sites.
 const FIGURE: &str = "HIERARCHY\r
 ROOT mixamorig7:Hips {\r
   OFFSET 7 7 7\r

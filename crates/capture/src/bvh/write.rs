@@ -13,8 +13,9 @@ use crate::error::{require, require_positive};
 const ZXY: [Axis; 3] = [Axis::Z, Axis::X, Axis::Y];
 
 impl Joint {
-    /// A joint for [`Bvh::from_rotations`]: `name` of one line without braces, an earlier `parent`, its
-    /// `offset` in the file's units (unused for the root), and the end of its bone without a child.
+    /// A joint for [`Bvh::from_rotations`]: a one-line `name` without braces, an earlier `parent`,
+    /// its `offset` in the file's units (unused for the root), and, without a child, the end of its
+    /// bone.
     pub fn new(
         name: String,
         parent: Option<usize>,
@@ -87,7 +88,7 @@ impl Bvh {
         })
     }
 
-    /// The file's text; [`Bvh::parse`] reads it back, numbers to six decimals.
+    /// The file's text, numbers to six decimals; [`Bvh::parse`] reads this text back.
     pub fn to_text(&self) -> String {
         let mut text = "HIERARCHY\n".to_string();
         let mut open: Vec<usize> = Vec::new();
@@ -170,7 +171,7 @@ fn depth_first(figure: &[Joint]) -> Vec<usize> {
     while let Some(joint) = waiting.pop() {
         order.push(joint);
         let children = (joint + 1..figure.len()).filter(|c| figure[*c].parent == Some(joint));
-        // The first child is taken from the end first.
+        // The loop takes joints from the end, so the first child is last.
         waiting.extend(children.rev());
     }
     order

@@ -41,8 +41,8 @@ impl Processor {
     }
 }
 
-/// A VAX F float: two little-endian words, the high one first; the fraction is 0.1f instead of
-/// 1.f and the exponent is biased by 128, together a factor of 4 to the IEEE reading.
+/// A VAX F float: two little-endian words, the high one first; the fraction is 0.1f instead of 1.f
+/// and the exponent is biased by 128, so the IEEE reading is 4 times the value.
 fn vax_float([a, b, c, d]: [u8; 4]) -> f32 {
     let bits = u32::from_le_bytes([c, d, a, b]);
     let exponent = (bits >> 23 & 0xff) as i32;

@@ -48,8 +48,8 @@ impl C3d {
         (!place[0].is_nan()).then(|| place.map(f64::from))
     }
 
-    /// Indices of the points that `name` may mean: those with exactly this label, otherwise those
-    /// that have it behind their prefix (`SUBJECT:NAME`).
+    /// Indices of the points called `name`: the points with exactly this label, otherwise those
+    /// with this label behind a prefix (`SUBJECT:NAME`).
     pub fn find(&self, name: &str) -> Vec<usize> {
         let with = |fits: &dyn Fn(&str) -> bool| -> Vec<usize> {
             let labels = self.labels.iter().enumerate();

@@ -21,11 +21,11 @@ pub(super) struct Parameters<'a> {
 }
 
 impl<'a> Parameters<'a> {
-    /// Reads the records from `start` on. On failure, the place of the record that does not fit
+    /// Reads the records from `start` on. The error is the place of the record that does not fit
     /// into the file.
     ///
-    /// The link of each record leads behind its name, so that every step goes forward and the
-    /// names together are no longer than the file.
+    /// The link of each record leads behind its name. So every step goes forward, and all names
+    /// together fit into the file's length.
     pub fn read(bytes: &'a [u8], start: usize, processor: Processor) -> Result<Self, usize> {
         let mut all = Self {
             processor,

@@ -21,8 +21,8 @@ impl C3d {
     /// Reads a C3D file from its bytes; `file` is its name for messages.
     ///
     /// Parameters take precedence over the header, except for the number of frames: the parameters
-    /// state it only where the header's 16 bits are full. A point is missing where its residual is
-    /// negative or a number is NaN.
+    /// state this number only where the header's 16 bits are full. A point is missing where its
+    /// residual is negative or a number is NaN.
     ///
     /// # Errors
     /// [`Error::Format`].
@@ -98,7 +98,7 @@ impl<'a> Reader<'a> {
         Error::format(self.file, place, found, allowed, hint)
     }
 
-    /// A word of the header, whose block is known to be there.
+    /// A word of the header, whose block is known to exist.
     fn header(&self, offset: usize) -> u16 {
         self.processor.word(self.bytes, offset).unwrap_or_default()
     }
@@ -149,7 +149,7 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// The labels, over as many parameters LABELS, LABELS2, ... as there are points for.
+    /// The labels of the points, from the parameters LABELS, LABELS2, ...
     fn labels(&self, points: usize) -> Vec<String> {
         let mut labels = Vec::new();
         let more = (2..=LABEL_PARAMETERS).map(|part| format!("LABELS{part}"));
@@ -237,7 +237,7 @@ impl<'a> Reader<'a> {
         };
         let factor = if scale < 0.0 { 1.0 } else { scale };
         let place = [0, 1, 2].map(|axis| number(axis) * factor);
-        // The sign of the residual's word is that of "not seen"; NaN counts the same.
+        // A negative residual means "not seen", and so does NaN.
         let seen = number(3) >= 0.0 && place.iter().all(|value| value.is_finite());
         if seen { place } else { [f32::NAN; 3] }
     }

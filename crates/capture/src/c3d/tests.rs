@@ -74,7 +74,7 @@ fn more_labels_than_one_parameter_holds_are_read() {
     let mut example = Example::new(&labels, vec![vec![Some([1.0; 3]); 650]]);
     example.labels_per_parameter = 255;
     let c3d = parse(&example).unwrap();
-    // Labels beyond the points belong to nothing.
+    // Labels beyond the points are dropped.
     assert_eq!(c3d.labels, &names[..650]);
     assert_eq!(c3d.find("M600"), [600]);
 }
@@ -200,7 +200,7 @@ proptest! {
     #[test]
     fn arbitrary_bytes_never_panic(mut bytes in prop::collection::vec(any::<u8>(), 1024..2048)) {
         let _ = C3d::parse(&bytes, "bytes");
-        // Past the first checks, into the parameters.
+        // Passes the first checks, to test the parameters.
         (bytes[0], bytes[1], bytes[515]) = (2, 0x50, 84 + bytes[515] % 3);
         let _ = C3d::parse(&bytes, "bytes");
     }

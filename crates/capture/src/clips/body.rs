@@ -14,10 +14,10 @@ use crate::{C3d, UpAxis};
 /// Usual length of a leg, hip to ankle, metres.
 const LEGS: std::ops::RangeInclusive<f64> = 0.5..=1.1;
 
-/// The units that the length of legs can identify; no two fit the same leg.
+/// The units that the length of legs can identify; no two units fit the same leg.
 const UNITS: [Units; 5] = [Units::M, Units::Cm, Units::Mm, Units::Inch, Units::Cmu];
 
-/// Lowest frame rate of a capture: below, motion between frames is unknown.
+/// Lowest frame rate of a capture: at lower rates, motion between frames is unknown.
 const SLOWEST: f64 = 10.0;
 
 /// The joints of a body over a take.
@@ -63,7 +63,7 @@ impl Body {
     }
 
     /// The body with its joints at `places`, `[frames, J]`, in units and axes of a file. By default
-    /// `units` follow from the length of the legs, `up` from the place of the head.
+    /// `units` follow from the length of the legs, and `up` follows from the place of the head.
     pub fn of_places(
         places: Vec<[f64; 3]>,
         skeleton: &Skeleton,

@@ -8,9 +8,8 @@ use crate::plan::{CaptionsPlan, Part, parts};
 pub type Labels = BTreeMap<String, String>;
 
 impl CaptionsPlan {
-    /// The captions of a clip with these labels: as many as there are templates, or wordings of one
-    /// of its labels. Both are used in turn.
-    /// No caption may contain `#`, which ends captions in their files.
+    /// The captions of a clip with these labels. Templates and wordings are used in turn until all
+    /// were used. No caption may contain `#`, which ends captions in files.
     pub(super) fn of(&self, labels: &Labels) -> Result<Vec<String>, String> {
         let templates = self.templates.iter().map(|template| parts(template));
         let templates: Vec<Vec<Part<'_>>> = templates.collect::<Result<_, _>>()?;

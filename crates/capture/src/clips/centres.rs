@@ -1,11 +1,12 @@
-//! Joint centres from the markers of Plug-in Gait, the waist ones also as `LFWT`, `RFWT`, `LBWT` and
-//! `RBWT`.
+//! Joint centres from Plug-in Gait markers; the waist markers may be called `LFWT`, `RFWT`, `LBWT`
+//! and `RBWT`.
 //!
 //! Hips follow the regression of Harrington et al., "Prediction of the hip joint centre in adults,
 //! children, and patients with cerebral palsy based on magnetic resonance imaging" (J. Biomech. 40,
-//! 2007), whose error is 1 to 2 cm. Knees and ankles lie half a usual width inwards of their markers,
-//! elbows in the plane across the bent arm, shoulders below their markers; these may be off by 1 to
-//! 3 cm. [`Centres::spread`] measures a part of the error: the variation of bone lengths.
+//! 2007), whose error is 1 to 2 cm. Knees and ankles lie half a usual width inwards of their
+//! markers. Elbows lie inwards across the plane of the bent arm, and shoulders below their markers.
+//! These joints may be off by 1 to 3 cm. [`Centres::spread`] measures a part of the error: the
+//! variation of bone lengths.
 
 use std::ops::Range;
 
@@ -48,8 +49,8 @@ pub(super) struct Centres {
 }
 
 impl Centres {
-    /// The joint centres of each frame. Outside of the frames that are `used`, a marker that is not
-    /// seen stays where it is seen next.
+    /// The joint centres of each frame. Outside of the `used` frames, an unseen marker has its
+    /// place in the nearest frame that shows it.
     pub fn of(take: &C3d, used: Range<usize>) -> Result<Self, String> {
         let mut tracks = Vec::with_capacity(MARKERS.len());
         let (mut lacking, mut notes) = (Vec::new(), Vec::new());
@@ -101,9 +102,9 @@ impl Centres {
         Ok(Self { joints, notes })
     }
 
-    /// The standard deviations of the lengths of the arms' and legs' bones over the take, metres, each
-    /// with the joint that the bone ends at. Bones have constant lengths, so this is the error of
-    /// joint centres.
+    /// The standard deviations of the lengths of the arms' and legs' bones over the take, metres,
+    /// each with the bone's end joint. Bones have constant lengths, so these deviations are errors
+    /// of joint centres.
     pub fn spread(&self, skeleton: &Skeleton) -> Vec<(String, f64)> {
         let description = skeleton.description();
         let limbs = ["knee", "ankle", "elbow", "wrist"];
@@ -173,7 +174,8 @@ fn centres(markers: &[Place]) -> [Place; 22] {
     let head = middle(&[(brow[0] + brow[1] + nape[0] + nape[1]) / 4.0, neck]);
     let arm = |side: f64, shoulder: &Place, elbow: &Place, wrist: Place| {
         let shoulder = shoulder + down * SHOULDER;
-        // Perpendicular to the bent arm: to the body of a left arm, away from it of a right one.
+        // Perpendicular to the bent arm: towards the body for a left arm, away from the body for a
+        // right arm.
         let plane = unit(elbow - shoulder).cross(&unit(wrist - elbow));
         let elbow = elbow + plane * (side * ELBOW / (plane.norm() + BENT));
         (shoulder, elbow, wrist)
@@ -210,12 +212,12 @@ fn centres(markers: &[Place]) -> [Place; 22] {
     ]
 }
 
-/// The vector with length 1; one without length stays.
+/// The vector with length 1; a zero vector is unchanged.
 fn unit(vector: Place) -> Place {
     vector.try_normalize(1e-9).unwrap_or(vector)
 }
 
-/// The part of a vector across a direction of length 1.
+/// The component of a vector perpendicular to a unit direction.
 fn across(vector: Place, direction: Place) -> Place {
     vector - direction * vector.dot(&direction)
 }
@@ -228,7 +230,7 @@ mod tests {
     use crate::clips::body::Body;
     use crate::clips::tests::walking;
 
-    /// The joint that a marker of the left side is beside, and where beside it if the body faces +z,
+    /// The joint next to a marker of the left side, and the marker's offset if the body faces +z,
     /// metres.
     fn marker(name: &str) -> (&'static str, [f64; 3]) {
         match name {
@@ -339,7 +341,7 @@ mod tests {
             message.contains("who:LKNE was not seen in frame 5"),
             "{message}"
         );
-        // Frames that are not used may lack it, at either end.
+        // Unused frames at either end may lack the marker.
         let skeleton = Skeleton::humanml3d();
         for used in [30..60, 0..5] {
             let take = C3d::parse(&gap.bytes(), "take.c3d").unwrap();

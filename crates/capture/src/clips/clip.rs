@@ -6,11 +6,11 @@ use kinegrad_motion::humanml::extract::{canonicalize, leg_ratio, rescale};
 use kinegrad_motion::humanml::{Extraction, FeatureError, Features, Joints, Skeleton};
 use kinegrad_motion::vector::{length, minus};
 
-/// Toes that move less than this from frame to frame stand, metres.
+/// Toes that move less than this distance in metres between frames stand.
 const STANDING: f64 = 0.01;
 /// Fewest frames of standing toes that define the floor.
 const ENOUGH: usize = 5;
-/// Fraction of standing toes that may be below the floor, for capture errors.
+/// Fraction of standing toes that may be below the floor, due to capture errors.
 const BELOW: f64 = 0.05;
 
 /// The joints of a take with its feet on the floor, to cut clips from.
@@ -20,8 +20,8 @@ pub(super) struct Grounded {
 }
 
 impl Grounded {
-    /// Puts the joints of a take on the floor, at the height at which its toes stand; with
-    /// `retarget`, with the bones of `skeleton` ([`rescale`]). A retargeted body is moved up or down
+    /// Puts the joints of a take on the floor: the height at which the toes stand. With `retarget`,
+    /// the joints get the bones of `skeleton` ([`rescale`]). A retargeted body is moved up or down
     /// in each frame until its lower toes are as high as before, in proportion to its legs.
     pub fn new(skeleton: &Skeleton, joints: &Joints, retarget: bool) -> Result<Self, FeatureError> {
         let joints = match retarget {
@@ -33,13 +33,13 @@ impl Grounded {
         Ok(Self { joints })
     }
 
-    /// Frames of features: each needs two frames of joints.
+    /// Number of feature frames: each needs two frames of joints.
     pub fn frames(&self) -> usize {
         self.joints.frames() - 1
     }
 
     /// The features of a part of the take, moved to begin at x = z = 0 facing +z. The floor is that
-    /// of the whole take, because the feet may not touch it in each part.
+    /// of the whole take, because the feet may not touch the floor in each part.
     pub fn clip(
         &self,
         skeleton: &Skeleton,
@@ -168,7 +168,7 @@ mod tests {
         let found = floor(&skeleton, &dipping);
         let known = floor(&skeleton, &joints);
         assert!((found - known).abs() < 0.01, "{found} {known}");
-        // Who never stands has the lowest joint on the floor.
+        // A body that never stands has its lowest joint on the floor.
         let flying = joints.as_slice().iter().enumerate();
         let flying = flying.map(|(place, [x, y, z])| [*x, y + (place / 22) as f64, *z]);
         let flying = Joints::new(flying.collect(), 22).unwrap();

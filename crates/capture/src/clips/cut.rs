@@ -2,8 +2,8 @@
 
 use std::ops::Range;
 
-/// The frames of `frames` that become clips of `least` to `most` frames, in order, and those that
-/// become none. Clips of one take are about equally long and follow each other.
+/// The ranges of `frames` that become clips of `least` to `most` frames, in order, and the
+/// remaining range. Clips of one take are about equally long and adjacent.
 pub(super) fn cut(
     frames: usize,
     least: usize,
@@ -18,7 +18,7 @@ pub(super) fn cut(
         let cut = (0..clips).map(|clip| bound(clip)..bound(clip + 1));
         return (cut.collect(), None);
     }
-    // One clip fewer, each as long as may be.
+    // One clip fewer, each of the largest length.
     let clips = clips - 1;
     let cut = (0..clips).map(|clip| clip * most..(clip + 1) * most);
     (cut.collect(), Some(clips * most..frames))

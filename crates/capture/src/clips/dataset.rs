@@ -97,8 +97,8 @@ impl ClipRow {
     }
 }
 
-/// Writes the index: statistics, labels, the manifest and the lists of clips, that of training clips
-/// last, because readers need it.
+/// Writes the index: statistics, labels, the manifest and the lists of clips. The list of training
+/// clips is last, because readers need this list.
 pub(super) fn write_index(store: &Store, rows: &[(ClipRow, Part)]) -> Result<(), Error> {
     for root in [Root::Relative, Root::Absolute] {
         for (path, bytes) in statistics(store, rows, root)? {

@@ -165,8 +165,8 @@ impl Names {
     }
 }
 
-/// The values of the names in braces of `pattern` in `text`; none if it does not fit. A name stands
-/// for the shortest text, of at least one character, that fits; a `*` for any text.
+/// The values of the names in braces of `pattern` in `text`; `None` if the text does not fit. A
+/// name matches the shortest fitting text of at least one character; a `*` matches any text.
 fn fit(pattern: &[Part<'_>], text: &str) -> Option<Vec<(String, String)>> {
     let Some((first, rest)) = pattern.split_first() else {
         return text.is_empty().then(Vec::new);

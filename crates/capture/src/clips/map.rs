@@ -1,4 +1,4 @@
-//! Joint maps: names of a capture's joints for the joints of the clips' skeleton.
+//! Joint maps from the joints of a capture to the joints of the clips' skeleton.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -15,7 +15,7 @@ const BUILT_IN: [(&str, &str); 6] = [
     ("humanml3d", include_str!("maps/humanml3d.toml")),
     ("mixamo", include_str!("maps/mixamo.toml")),
     ("xsens", include_str!("maps/xsens.toml")),
-    // Last, since of maps that fit equally well the first is taken.
+    // Last, because the first of equally fitting maps is taken.
     ("forefoot", include_str!("maps/forefoot.toml")),
 ];
 
@@ -104,7 +104,7 @@ impl Source {
         lacks.then(|| format!("an End Site of {} that is not at the joint", names[0]))
     }
 
-    /// Its place in a capture, none if that lacks it.
+    /// The source's place in a capture, `None` if missing.
     fn place(&self, bvh: &Bvh) -> Option<Place> {
         Some(match self {
             Self::Joint(joint) => Place::on(bvh.joint(joint)?, [0.0; 3]),
@@ -140,7 +140,7 @@ struct Place {
     /// Another joint, and the fraction of the line towards it.
     to: usize,
     at: f64,
-    /// Offset from the first joint, which turns with it, in file units.
+    /// Offset from the first joint, rotating with that joint, in file units.
     offset: [f64; 3],
 }
 
@@ -154,7 +154,7 @@ impl Place {
         }
     }
 
-    /// The place where the capture has its joints at `world`.
+    /// The place in a frame with the joint poses `world`.
     fn at(&self, world: &[RootPose]) -> [f64; 3] {
         let (from, to) = (&world[self.from], &world[self.to]);
         let turned = from.orientation.rotate(self.offset);
@@ -166,7 +166,7 @@ impl Place {
 }
 
 impl JointMap {
-    /// The map in the TOML text of `file`, whose stem is its name.
+    /// The map in the TOML text of `file`; the file's stem is the map's name.
     pub fn parse(file: &str, text: &str, skeleton: &Skeleton) -> Result<Self, String> {
         let map = read_toml::<MapFile>(text, file, "docs/dataset.md describes joint maps");
         let mut sources = map.map_err(|error| error.to_string())?.joints;
@@ -209,7 +209,7 @@ impl JointMap {
             .collect()
     }
 
-    /// The built-in map that fits a capture; of several, the one that names most joints.
+    /// The built-in map that fits a capture; of several maps, the one that names most joints.
     pub fn fitting(bvh: &Bvh) -> Result<Self, String> {
         let named = |map: &Self| {
             let names = map.joints.iter().flat_map(|(_, source)| source.names());

@@ -1,4 +1,4 @@
-//! Joints that are not where a capture has joints: between two of them, and on a chain's last bone.
+//! Skeleton joints that lie between two joints of a capture, and on a chain's last bone.
 
 use kinegrad_motion::humanml::Skeleton;
 use kinegrad_motion::vector::length;
@@ -160,7 +160,7 @@ fn toes_that_are_end_sites_lie_on_the_last_bone() {
             }
         }
     }
-    // A joint without an End Site, and one that is not there.
+    // A joint without an End Site, and a missing joint.
     for (joint, part) in [
         (
             "LeftLeg",

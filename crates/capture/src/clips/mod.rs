@@ -1,10 +1,10 @@
 //! Datasets of clips: full-body captures become a dataset in the layout of HumanML3D.
 //!
-//! A [joint map](map::JointMap) names the joints of a BVH capture that are the 22 of the dataset's
-//! skeleton; those of a C3D capture are estimated from its markers. The [body](body::Body) is
-//! resampled to 20 frames per second, retargeted to one skeleton, put on the floor and cut into
-//! clips. Labels come from file names, JSON, a table or the plan, and captions are made of them. In a
-//! mirrored copy of each clip left and right are exchanged.
+//! A [joint map](map::JointMap) names the joints of a BVH capture that are the 22 joints of the
+//! dataset's skeleton. The joints of a C3D capture are estimated from its markers. The
+//! [body](body::Body) is resampled to 20 frames per second, retargeted to one skeleton, put on the
+//! floor and cut into clips. Labels come from file names, JSON, a table or the plan; captions are
+//! made from labels. A mirrored copy of each clip exchanges left and right.
 
 mod body;
 mod captions;
@@ -43,7 +43,7 @@ use takes::{Tables, tables, takes};
 /// Like [`phrases::prepare`](crate::phrases::prepare), for the clips of `plan`.
 ///
 /// # Errors
-/// As there; [`Error::Plan`] also without a training clip.
+/// As `phrases::prepare`; [`Error::Plan`] also without a training clip.
 pub fn prepare(
     plan: &Plan,
     plan_file: &Path,

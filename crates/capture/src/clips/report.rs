@@ -13,7 +13,7 @@ use crate::prepare::{Rejection, Report};
 pub struct ClipsReport {
     /// Address of the dataset.
     pub output: String,
-    /// Clips in it, mirrored ones too.
+    /// Clips in the dataset, including mirrored clips.
     pub clips: usize,
     /// Their length in hours.
     pub hours: f64,
@@ -39,7 +39,7 @@ pub struct ClipsReport {
 pub struct ClipTakeReport {
     /// Its name.
     pub name: String,
-    /// Clips made, mirrored ones too.
+    /// Clips made, including mirrored clips.
     pub clips: usize,
     /// Length of the part that is used, seconds.
     pub seconds: f64,
@@ -57,7 +57,7 @@ pub struct ClipTakeReport {
     /// The reason if the take cannot be used.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub failure: Option<String>,
-    /// Frames that no clip has: takes that are too short, and rests of long ones.
+    /// Frames in no clip: takes that are too short, and ends of long takes.
     pub skipped: Vec<Rejection>,
     /// Notes.
     pub notes: Vec<String>,

@@ -56,9 +56,9 @@ pub(super) struct Parts {
 
 impl SplitPlan {
     /// The set of each of the `takes`. A set without patterns gets the last takes of each group by
-    /// number: the test set the very last, the validation set those before. Neighbours may be of one
-    /// actor, so ranges are held out, not every n-th take. A group has at least one take for training,
-    /// and takes of one file stay together.
+    /// number. The test set gets the very last takes, and the validation set those before.
+    /// Neighbouring takes may be of one actor, so ranges are held out, not every n-th take. A group
+    /// has at least one training take, and takes of one file stay together.
     pub(super) fn parts(&self, takes: &[SplitTake<'_>]) -> Parts {
         let mut lists: Vec<Part> = takes.iter().map(|take| self.named(take.name)).collect();
         let fraction = |patterns: &[String], fraction: f64| match patterns.is_empty() {
@@ -129,7 +129,7 @@ impl SplitPlan {
         Parts { lists, notes }
     }
 
-    /// The set that patterns name for the take of this name.
+    /// The set that the patterns assign to the take `name`.
     pub(super) fn named(&self, name: &str) -> Part {
         let any = |patterns: &[String]| patterns.iter().any(|pattern| matches(pattern, name));
         match (any(&self.test), any(&self.validation)) {

@@ -20,7 +20,7 @@ use crate::prepare::files::bytes;
 use crate::prepare::output::Output;
 use crate::{Bvh, C3d, Error};
 
-/// Version of the algorithm. A change makes all takes again.
+/// Version of the algorithm. A new version makes all takes again.
 const MAKER: &str = "kinegrad clips 2";
 
 /// Name of the map of captures of markers.
@@ -30,10 +30,10 @@ const MARKERS: &str = "markers";
 #[derive(Clone, Debug)]
 pub(super) struct Take {
     pub name: String,
-    /// Its part of the plan, with the file that a pattern in it has found.
+    /// The take's part of the plan, with the file that matched a pattern.
     pub capture: CapturePlan,
     pub motion: PathBuf,
-    /// None if it is chosen by the names of the joints.
+    /// `None` if the names of the joints decide.
     pub map: Option<JointMap>,
 }
 
@@ -47,7 +47,7 @@ pub(super) struct TakeInput {
 }
 
 impl Take {
-    /// Reads the file, labels and captions; an error names those that are missing.
+    /// Reads the file, labels and captions; an error names the missing ones.
     pub fn input(&self, plan: &Plan, table: Option<&CaptionTable>) -> Result<TakeInput, String> {
         let stem = self.motion.file_stem().unwrap_or_default();
         let stem = stem.to_string_lossy();
@@ -75,7 +75,7 @@ impl Take {
         })
     }
 
-    /// Writes the clips of the take. The report of a take that cannot be used has the reason.
+    /// Writes the clips of the take. The report of an unusable take contains the reason.
     pub fn make(
         &self,
         plan: &Plan,
@@ -123,7 +123,7 @@ impl Take {
                 reason: format!("{left}; a clip has at least {least}"),
             });
         }
-        // Before the first is written: a take gives all of its clips or none.
+        // All clips are made before writing: a take gives all of its clips or none.
         let clip = |range: &Range<usize>| grounded.clip(&skeleton, range.clone());
         let made = ranges.iter().map(clip);
         let features = match made.collect::<Result<Vec<_>, _>>() {
@@ -187,7 +187,7 @@ impl Take {
         Ok((map.name.clone(), body))
     }
 
-    /// The file's frames, at `rate` per second, of the plan's part of it.
+    /// The frames that the plan uses of a file with `rate` frames per second.
     fn frames_used(&self, rate: f64, frames: usize) -> Range<usize> {
         let start = (self.capture.motion_start_seconds * rate).floor() as usize;
         let end = self.capture.motion_end_seconds.unwrap_or(f64::INFINITY);
@@ -195,7 +195,7 @@ impl Take {
         start.min(end.saturating_sub(1))..end
     }
 
-    /// The joints at `fps` frames per second of the plan's part of it.
+    /// The joints, at `fps` frames per second, that the plan uses of a file.
     fn within(&self, body: &Body, fps: f64) -> Result<Joints, String> {
         let joints = body.at_rate(fps);
         let start = (self.capture.motion_start_seconds * fps).round() as usize;

@@ -37,7 +37,7 @@ pub(super) fn walking(frames: usize, rate: f64, speed: f64) -> Joints {
     Joints::new(walk::joints(&course, &skeleton, frames), 22).unwrap()
 }
 
-/// The names of the joints of a map's captures by those of the skeleton.
+/// The name of a skeleton joint in the captures of a map.
 fn named_as(map: &str, joint: &str) -> String {
     let text = match map {
         "mixamo" => include_str!("maps/mixamo.toml"),
@@ -207,7 +207,7 @@ fn another_rate_keeps_the_motion() {
     let apart = |a: [f64; 3], b: [f64; 3]| length([0, 1, 2].map(|axis| a[axis] - b[axis]));
     let mut furthest = 0.0f64;
     for t in 0..41usize {
-        // Every second frame is one of the capture; the others lie midway between two.
+        // Every second frame is a capture frame; the others lie midway between two capture frames.
         let (before, after) = (3 * t / 2, (3 * t).div_ceil(2));
         for joint in 0..22 {
             let [a, b] = [before, after].map(|frame| body.joints.frame(frame)[joint]);
@@ -220,7 +220,7 @@ fn another_rate_keeps_the_motion() {
             furthest = furthest.max(found);
         }
     }
-    // They are not simply in the middle: the path is curved.
+    // These frames are not simply midpoints: the path is curved.
     assert!(furthest > 1e-4, "{furthest}");
     // Files state their frame time with about six digits.
     for rate in [1.0 / 0.0333333, 1.0 / 0.033333] {
@@ -291,7 +291,7 @@ const PLAN: &str = "output = \"set\"\n\
 fn captures_become_clips_with_captions_lists_and_labels() {
     let captures = Captures::new();
     let report = captures.prepare(PLAN).unwrap();
-    // 91 frames at 30 a second are 61 at 20, of which 60 have a next one.
+    // 91 frames at 30 a second are 61 at 20, of which 60 have a next frame.
     assert_eq!(report.clips, 10);
     let short = report.takes.iter().find(|take| take.clips == 0).unwrap();
     assert_eq!(
@@ -364,7 +364,8 @@ fn a_clip_walks_where_it_faces_on_the_floor_and_its_image_is_mirrored() {
     let one = clip("a_walk-left_happy_003_00000");
     assert_eq!(one.frames(), 60);
     let path = one.to_absolute().root_positions();
-    // 1.3 m/s for 59 steps of a twentieth of a second, scaled with the legs, which are as long.
+    // 1.3 m/s for 59 steps of a twentieth of a second, scaled with the legs, which are of equal
+    // length.
     let [x, _, z] = path[59];
     assert!(
         (z - 1.3 * 59.0 / 20.0).abs() < 0.1 && x.abs() < 0.1,
@@ -390,7 +391,7 @@ fn what_is_done_is_kept_and_what_has_changed_is_made_again() {
     assert_eq!(captures.prepare(PLAN).unwrap().kept, 5);
     assert_eq!(fs::read(&features).unwrap(), whole);
     let reworded = PLAN.replace("\"happily\"", "\"with joy\"");
-    // The short take has no happy caption, and stays.
+    // The short take has no happy caption and stays unchanged.
     assert_eq!(captures.prepare(&reworded).unwrap().kept, 1);
     fs::remove_file(captures.path("a_walk-left_happy_005.bvh")).unwrap();
     let fewer = captures.prepare(&reworded).unwrap();

@@ -17,8 +17,8 @@ use crate::{C3d, Error, UpAxis};
 
 pub use root::MarkerRoot;
 
-/// The markers that define the root. A group of several stands for its mean; names may have their
-/// prefix, `SUBJECT:NAME`, or not.
+/// The markers that define the root. A group of several markers stands for the mean. The prefix of
+/// a name, as in `SUBJECT:NAME`, is optional.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MarkerMap {
@@ -30,15 +30,15 @@ pub struct MarkerMap {
     pub back: Vec<String>,
     /// Markers at the body's left.
     pub left: Vec<String>,
-    /// Markers at its right.
+    /// Markers at the body's right.
     pub right: Vec<String>,
     /// Axis of the file that points up.
     pub up: UpAxis,
-    /// Longest gap of a marker, in capture frames, that is filled by a straight line; in longer
-    /// ones the root is not valid. The default is 8, a tenth of a second at 80 frames per second.
+    /// Longest gap of a marker, in capture frames, that is filled by a straight line. In longer
+    /// gaps the root is not valid. The default is 8, a tenth of a second at 80 frames per second.
     pub max_gap_frames: usize,
-    /// Takes the mean pitch of the forward axis over the take out of every frame, so that markers
-    /// at different heights do not tilt the body.
+    /// Removes the take's mean pitch of the forward axis from every frame, so that markers at
+    /// different heights do not tilt the body.
     pub remove_mean_tilt: bool,
 }
 

@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use crate::track::{MarkerGaps, lerp, split};
 use crate::{RootPose, RootSource};
 
-/// A direction shorter than this, in metres, is none.
+/// Shortest vector with a direction, in metres.
 const SHORTEST: f64 = 1e-6;
 
 /// The root of a C3D take, from [`MarkerMap::root`](super::MarkerMap::root). Between frames, the

@@ -143,7 +143,7 @@ fn wrong_names_and_useless_takes_are_refused() {
     );
     let error = with(&|map| map.back.clear());
     assert!(matches!(error, Error::Setting(refused) if refused.key == "back"));
-    // Forward and left along one line make no axes.
+    // Forward and left along one line define no axes.
     let error = with(&|map| (map.left, map.right) = (map.front.clone(), map.back.clone()));
     assert!(matches!(error, Error::NoPose { .. }), "{error:?}");
     let twice = Example::new(&["a:LFWT", "b:LFWT"], vec![vec![Some([0.0; 3]); 2]]);

@@ -14,16 +14,16 @@ use crate::plan::Plan;
 use crate::prepare::Rejection;
 use crate::{MarkerGaps, RootSource, RootTrack, Segment, assemble, join};
 
-/// Usual median heights of a root, metres. Others suggest wrong units.
+/// Usual median heights of a root, metres. Other heights suggest wrong units.
 const HEIGHTS: std::ops::RangeInclusive<f64> = 0.2..=3.0;
 
-/// The root track of a take on the time line of its music.
+/// The root track of a take on the timeline of its music.
 pub(super) struct AlignedTrack {
     pub track: RootTrack,
     /// Frames that begin after a border between segments.
     pub borders: Vec<usize>,
     pub filled_gaps: bool,
-    /// The frames of the plan; the track may end before.
+    /// The frames in the plan; the track may end earlier.
     pub span: Range<usize>,
     pub notes: Vec<String>,
     /// Index of each frame's capture file in `files`.
@@ -34,7 +34,7 @@ pub(super) struct AlignedTrack {
 }
 
 impl AlignedTrack {
-    /// The reason why frame `t` is in no phrase; `alone` if the take has no phrase at all.
+    /// The reason why frame `t` is in no phrase; `alone`: the take has no phrase at all.
     pub fn reason(&self, t: usize, alone: bool, length: usize) -> String {
         if t >= self.track.frames() {
             return "the song has ended".to_owned();
@@ -49,7 +49,7 @@ impl AlignedTrack {
         }
     }
 
-    /// The frames that no phrase has; neighbours with the same reason together.
+    /// The frames in no phrase; neighbouring frames with the same reason are merged.
     pub fn rejections(&self, phrases: &[usize], length: usize) -> Vec<Rejection> {
         let mut used = vec![false; self.span.end];
         for &first in phrases {
@@ -154,7 +154,7 @@ impl AlignedTrack {
                     let [first, last] = segment.frames;
                     let part = |beat: f64| (beat - begins) / segment.beats;
                     let frame = |beat: f64| first + part(beat) * (last - first);
-                    // Between two beats, motion keeps its pace.
+                    // Between two beats, motion keeps its speed.
                     for pair in timeline.knots(begins, ends).windows(2) {
                         let [from, to] = [pair[0], pair[1]].map(|beat| segment_beats.moment(beat));
                         segments.push(Segment {

@@ -1,5 +1,5 @@
-//! The beats that segments are aligned with: those of the song if it has as many as the plan
-//! states, otherwise even ones.
+//! The beats that segments are aligned with: the beats of the song if their number is the stated
+//! one, otherwise even beats.
 
 use kinegrad_audio::Pulse;
 
@@ -30,8 +30,8 @@ pub(super) struct Timeline {
 }
 
 impl Timeline {
-    /// The beats of a recording: the stated ones, else those of the song, of which the one nearest to
-    /// the stated downbeat starts a bar.
+    /// The beats of a recording: the stated beats, else the beats of the song. The song's beat
+    /// nearest to the stated downbeat starts a bar.
     pub fn of_recording(plan: &TakePlan, song: Option<&Song>) -> Self {
         if let Some(grid) = plan.beats {
             let even = Pulse::even(grid.start_seconds, grid.seconds_per_beat);
@@ -48,7 +48,7 @@ impl Timeline {
             None => pulse,
         });
         let beats = pulse.as_ref().map(|pulse| {
-            // Without a downbeat the first beat stands for one.
+            // Without a downbeat, the first beat starts a bar.
             let bar = f64::from(beats_per_bar);
             let first = pulse.bars().map_or(0.0, |bars| {
                 let first = bars.downbeat.rem_euclid(bar);
@@ -68,8 +68,9 @@ impl Timeline {
         }
     }
 
-    /// The beats for segments of `count` beats, which are stated to be even. If the song has as
-    /// many, its own are used, unless `wanted` excludes them; an error if it requires them.
+    /// The beats for segments of `count` stated, even beats. If the song has this number of beats,
+    /// the song's beats are used unless `wanted` excludes them. Fails if the numbers differ and
+    /// `wanted` requires the song's beats.
     pub fn of_segments(
         stated: BeatGrid,
         count: f64,
@@ -144,7 +145,7 @@ impl Timeline {
         })
     }
 
-    /// Both ends and, of tracked beats, those in between: a segment's speed may change at each.
+    /// Both ends and the tracked beats in between: a segment's speed may change at each.
     pub fn knots(&self, from: f64, to: f64) -> Vec<f64> {
         let mut knots = vec![from];
         if matches!(self.beats, Some(Beats::Tracked(_))) {

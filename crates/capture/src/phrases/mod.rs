@@ -38,13 +38,13 @@ const PHRASES: Parts = Parts {
     index: &[MANIFEST],
 };
 
-/// Makes the dataset of phrases of `plan`. `None` if it was stopped: finished takes are recorded,
-/// and the next preparation continues with the others.
+/// Makes the dataset of phrases of `plan`. `None` if the preparation was stopped: finished takes
+/// are recorded, and the next preparation continues with the other takes.
 ///
 /// # Errors
-/// [`Error::Plan`] for missing files or if no take gave a phrase, [`Error::Busy`] if
-/// another preparation is writing to the output, [`Error::Data`] if that contains a dataset of another
-/// origin or cannot be written. The report lists takes that cannot be used.
+/// [`Error::Plan`] for missing files or if no take gave a phrase, [`Error::Busy`] if another
+/// preparation is writing to the output, [`Error::Data`] if the output contains a dataset of
+/// another origin or cannot be written. The report lists takes that cannot be used.
 pub fn prepare(
     plan: &Plan,
     plan_file: &Path,

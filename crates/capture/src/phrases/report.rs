@@ -10,7 +10,7 @@ use crate::prepare::{Rejection, Report};
 pub struct PhrasesReport {
     /// Address of the dataset.
     pub output: String,
-    /// Phrases in it.
+    /// Phrases in the dataset.
     pub phrases: usize,
     /// Their length in hours.
     pub hours: f64,
@@ -21,7 +21,7 @@ pub struct PhrasesReport {
     pub stale: usize,
     /// Entries of `split.validation` that match no phrase.
     pub idle_entries: Vec<String>,
-    /// Songs that `split.fraction` holds out; a take without a song by its name.
+    /// Songs that `split.fraction` holds out, and names of held-out takes without a song.
     pub held_out_songs: Vec<String>,
     /// A note about the split.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -42,7 +42,7 @@ pub struct TakeReport {
     /// The reason if the take cannot be used.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub failure: Option<String>,
-    /// Frames that no phrase has.
+    /// Frames in no phrase.
     pub rejected: Vec<Rejection>,
     /// Notes.
     pub notes: Vec<String>,
@@ -76,7 +76,7 @@ pub struct GridReport {
     /// Concentration of the difference in beat phase between even and tracked beats over the frames
     /// of the take: 1 if it is constant, 0 if it is uniform.
     pub uniform_concentration: f64,
-    /// The same between the written phase and tracked beats.
+    /// The concentration between the written phase and tracked beats.
     pub concentration: f64,
 }
 

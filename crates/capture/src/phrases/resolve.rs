@@ -7,21 +7,21 @@ use kinegrad_data::{MAX_FRAMES, check_id};
 use crate::plan::{Plan, TakePlan};
 use crate::prepare::files::{matching, named};
 
-/// Endings of songs; a `*` in a song's name finds no other file.
+/// Extensions of songs; a `*` in a song's name matches only these files.
 const SONGS: [&str; 5] = ["mp3", "wav", "flac", "ogg", "oga"];
 
 /// A take with its files.
 #[derive(Clone, Debug)]
 pub(super) struct Take {
     pub name: String,
-    /// Its part of the plan, with the files that patterns in it have found.
+    /// The take's part of the plan, with the files that matched patterns.
     pub plan: TakePlan,
     /// The capture file of a whole take.
     pub motion: Option<PathBuf>,
     pub audio: Option<PathBuf>,
 }
 
-/// The takes of a plan, patterns in file names resolved. Names must differ.
+/// The takes of a plan, with resolved patterns in file names. Names must differ.
 pub(super) fn resolve(plan: &Plan, takes: Vec<TakePlan>) -> Result<Vec<Take>, String> {
     let mut resolved: Vec<Take> = Vec::new();
     for take in takes {

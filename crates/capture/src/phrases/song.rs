@@ -12,7 +12,7 @@ pub(super) struct Song {
     pub features: AudioFeatures,
     /// The tracked beats.
     pub beats: Beats,
-    /// Onset strength that beats are tracked in, `[T]`.
+    /// Onset strength for tracking beats, `[T]`.
     pub onset: Vec<f32>,
     /// Damage of the file, in words.
     pub damage: Option<String>,

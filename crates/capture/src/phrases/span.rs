@@ -20,7 +20,7 @@ pub(super) struct Span {
 }
 
 impl Span {
-    /// The span of `count` stated beats in a song of so many frames.
+    /// The span of `count` stated beats in a song of `song_frames` frames.
     pub fn new(stated: BeatGrid, count: f64, song_frames: usize) -> Self {
         let danced = stated.start_seconds + count * stated.seconds_per_beat;
         Self {
@@ -37,8 +37,8 @@ impl Span {
         (seconds / self.stated.seconds_per_beat).max(0.0)
     }
 
-    /// Tracked beats within it. The borders lie half a beat early: a beat on a border counts in
-    /// spite of the tracker's error.
+    /// Number of tracked beats within the span. The borders lie half a beat early, so a beat on a
+    /// border counts despite the tracker's error.
     fn count(&self, tracked: &Tracked) -> usize {
         let half = self.stated.seconds_per_beat / 2.0;
         let inside = self.stated.start_seconds - half..self.end - half;
@@ -46,14 +46,14 @@ impl Span {
         times.iter().filter(|time| inside.contains(time)).count()
     }
 
-    /// True if so many tracked beats agree with the stated number.
+    /// True if the number of tracked beats agrees with the stated number.
     pub fn agree(&self, tracked: usize) -> bool {
         let stated = self.stated_beats();
         tracked > 0 && (tracked as f64 - stated).abs() <= TOLERANCE * stated
     }
 
     /// The tracked beats of the song. If their number disagrees, they are tracked again near the
-    /// stated tempo, since a tracker may count every beat twice or every other beat.
+    /// stated tempo, because a tracker may find every beat twice or only every other beat.
     pub fn song_beats(&self, song: &Song) -> Tracked {
         if self.agree(self.count(&song.beats)) {
             return song.beats.clone();
@@ -65,7 +65,7 @@ impl Span {
         }
     }
 
-    /// Compares the even beats with the `tracked` beats of `pulse`, of which the first is at
+    /// Compares the even beats with the `tracked` beats of `pulse`. The first even beat belongs to
     /// position `origin`.
     pub fn compare(&self, tracked: &Tracked, pulse: &Pulse, origin: f64) -> GridReport {
         let BeatGrid {

@@ -17,8 +17,8 @@ pub(super) struct SplitResult {
 }
 
 impl SplitPlan {
-    /// Sets the split of each row. Without patterns, `fraction` of the songs is held out, those with
-    /// the lowest hashes of their names, at least one and never all.
+    /// Sets the split of each row. Without patterns, `fraction` of the songs is held out: the songs
+    /// whose names have the lowest hashes, at least one and never all.
     pub(super) fn divide(&self, rows: &mut [ManifestRow]) -> SplitResult {
         let side = |held_out| match held_out {
             true => Some(Side::Validation),

@@ -18,10 +18,10 @@ use crate::prepare::Rejection;
 use crate::prepare::files::bytes;
 use crate::{Beats, Stretch, stretches};
 
-/// Version of the algorithm. A change makes all takes again.
+/// Version of the algorithm. A new version makes all takes again.
 const MAKER: &str = "kinegrad phrases 5";
 
-/// A phrase with the contents of its files of motion and audio features.
+/// A phrase with the contents of its motion file and its audio feature file.
 pub(super) struct NewPhrase {
     pub row: ManifestRow,
     pub motion: Vec<u8>,
@@ -44,7 +44,7 @@ pub(super) struct AlignedTake<'a> {
 }
 
 impl Take {
-    /// A checksum of the take's files and its part of the plan, whatever the plan's folder is.
+    /// A checksum of the take's files and its part of the plan, independent of the plan's folder.
     pub fn key(&self, plan: &Plan) -> Result<Digest, String> {
         let wanted = (&self.name, &self.plan, &plan.phrases, &plan.joining);
         let text = serde_json::to_string(&wanted).expect("plain data");
@@ -217,7 +217,7 @@ impl AlignedTake<'_> {
         set.map(|(_, flag)| flag).collect()
     }
 
-    /// Beats in some frames, and the tempo.
+    /// Number of beats in `frames`, and the tempo.
     fn beats_within(&self, frames: &Range<usize>) -> (Option<f64>, Option<f64>) {
         let (seconds, until) = (frames.start as f64 / FPS, frames.end as f64 / FPS);
         match &self.timeline.beats {

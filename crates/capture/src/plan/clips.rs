@@ -11,7 +11,7 @@ use super::pattern::{TAKE, placeholders};
 use super::units::Units;
 use crate::UpAxis;
 
-/// The columns of the manifest that labels do not take.
+/// The columns of the manifest, whose names labels cannot have.
 const COLUMNS: &str = "id, take, file, map, first_frame, frames, seconds, fps, mirrored, split, \
      caption, captions, features_bytes, features_sha256";
 
@@ -26,13 +26,14 @@ pub struct ClipsPlan {
     pub min_frames: usize,
     /// Frames of the longest clip. Longer takes are cut into clips of about the same length.
     pub max_frames: usize,
-    /// Resamples captures to 20 frames per second, the rate of HumanML3D. With `false` they keep their
-    /// own rate, but readers assume 20 for all clips and see them at another speed.
+    /// Resamples captures to 20 frames per second, the rate of HumanML3D. With `false` captures
+    /// keep their own rate, but readers assume 20 for all clips and see such clips at another
+    /// speed.
     pub resample: bool,
-    /// Gives all bodies the bones of one skeleton. With `false` they keep their own.
+    /// Gives all bodies the bones of one skeleton. With `false` bodies keep their own bones.
     pub retarget: bool,
-    /// Writes each clip a second time with left and right exchanged, in labels and captions too, and
-    /// an `M` before its id.
+    /// Writes each clip a second time with left and right exchanged, also in labels and captions,
+    /// and an `M` before its id.
     pub mirror: bool,
 }
 
@@ -60,7 +61,8 @@ pub struct CapturePlan {
     /// The joint map of BVH files: `bandai`, `cmu`, `humanml3d`, `mixamo`, `xsens`, `forefoot`, or a TOML
     /// file. The default is the built-in map that fits the names of the joints.
     pub map: Option<String>,
-    /// Metres of one unit of a BVH file, or its name. The default is found from the length of the legs.
+    /// Metres of one unit of a BVH file, or the unit's name. The default is found from the length
+    /// of the legs.
     pub units: Option<Units>,
     /// The axis that points up. The default is found from the place of the head.
     pub up: Option<UpAxis>,
@@ -79,7 +81,8 @@ pub struct CapturePlan {
     pub captions: Option<String>,
 }
 
-/// Sources of the labels of captures. If several have the same label, the last of these keys decides.
+/// Sources of the labels of captures. If several sources have the same label, the last of these
+/// keys decides.
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LabelsPlan {
@@ -123,14 +126,14 @@ impl TryFrom<toml::Value> for Names {
     }
 }
 
-/// Captions that are made from labels.
+/// Captions made from labels.
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CaptionsPlan {
     /// Sentences with labels in braces, such as `a person {content} {style}`.
     pub templates: Vec<String>,
-    /// Wordings by label and value: one, or several that are used in turn. The default is the value
-    /// itself, with spaces for `-` and `_`.
+    /// Wordings by label and value: one wording, or several that are used in turn. The default is
+    /// the value itself, with spaces for `-` and `_`.
     pub words: BTreeMap<String, BTreeMap<String, Wordings>>,
 }
 
@@ -204,7 +207,7 @@ impl CapturePlan {
     }
 }
 
-/// Rejects names that a label cannot have, which are found at `key`.
+/// Rejects a name, found at `key`, that a label cannot have.
 pub(crate) fn check_label(key: &str, label: &str) -> Result<(), InvalidSetting> {
     let letters = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
     let begins = label.starts_with(|c: char| c.is_ascii_lowercase());

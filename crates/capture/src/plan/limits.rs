@@ -21,7 +21,7 @@ pub(super) fn check_number(
     number.map_or(Ok(()), |number| in_range(key, number, least..=MOST))
 }
 
-/// Rejects an end of a part of a motion file that is not behind its beginning.
+/// Rejects a part of a motion file whose end is not after the start.
 pub(super) fn check_end(start: f64, end: Option<f64>) -> Result<(), InvalidSetting> {
     check_number("motion_start_seconds", Some(start), 0.0)?;
     let after = end.is_none_or(|end| end > start && end.is_finite());

@@ -27,8 +27,8 @@ use crate::{Error, Joining};
 const OF_PHRASES: [&str; 4] = ["phrases", "joining", "take", "choreonet"];
 const OF_CLIPS: [&str; 3] = ["clips", "captions", "capture"];
 
-/// A plan, as its TOML file has it: of phrases, with `[[take]]` or `[[choreonet]]`, or of clips, with
-/// `[[capture]]`. Paths are relative to that file.
+/// A plan from a TOML file: a plan of phrases, with `[[take]]` or `[[choreonet]]`, or a plan of
+/// clips, with `[[capture]]`. Paths are relative to that file.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Plan {
@@ -43,7 +43,7 @@ pub struct Plan {
     /// Held-out phrases or takes.
     #[serde(default)]
     pub split: SplitPlan,
-    /// Captions that are made from labels.
+    /// Captions made from labels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub captions: Option<CaptionsPlan>,
     /// Settings of the connection to a bucket.
@@ -73,16 +73,16 @@ pub struct SplitPlan {
     /// Validation set: ids of phrases, names of takes that become clips, or patterns in which `*`
     /// stands for any characters: `"C_5_*"` is a whole take. If empty, `fraction` decides.
     pub validation: Vec<String>,
-    /// Fraction that is held out for validation if `validation` is empty; 0 for none. For phrases, a
-    /// fraction of the songs: those whose names have the lowest hashes, at least one of several and
-    /// never all. For clips, a fraction of the takes with the same labels: the last by their numbers,
-    /// never all; takes of one file stay together.
+    /// Fraction that is held out for validation if `validation` is empty; 0 for none. For phrases,
+    /// this is a fraction of the songs: the songs whose names have the lowest hashes, at least one
+    /// of several and never all. For clips, this is a fraction of the takes with the same labels:
+    /// the last takes by number, never all. Takes of one file stay together.
     pub fraction: f64,
     /// Test set: names of takes, or patterns, whose clips are held out for the end.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub test: Vec<String>,
     /// Fraction of the takes with the same labels that is the test set if `test` is empty: the last
-    /// by their numbers, after those of `fraction`. The default is none.
+    /// takes by number, after those of `fraction`. The default is no test set.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub test_fraction: Option<f64>,
 }
@@ -166,7 +166,7 @@ impl Plan {
         takes.try_for_each(|(index, take)| take.check().within(&format!("take[{index}]")))
     }
 
-    /// A path of the plan, from the plan's folder.
+    /// A path of the plan, relative to the plan's folder.
     pub fn resolve(&self, path: &str) -> PathBuf {
         self.folder.join(path)
     }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-/// The name, among the labels of a file name, of the number of the take.
+/// The label of a file name that is the number of the take.
 pub(crate) const TAKE: &str = "take";
 
 /// A part of a text with names in braces.

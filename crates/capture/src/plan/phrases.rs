@@ -64,10 +64,11 @@ pub struct TakePlan {
     /// Beats in a bar of tracked beats. The default is 4.
     pub beats_per_bar: Option<u32>,
     /// Time of a downbeat in the song, seconds, if the beats are tracked: the nearest tracked beat
-    /// starts a bar. Without it the first beat does, and beat features have no position in the bar.
+    /// starts a bar. Without this time the first beat starts a bar, and beat features have no
+    /// position in the bar.
     pub downbeat_seconds: Option<f64>,
-    /// The beats that segments are aligned with. The default is those tracked in the song if their
-    /// number is within 2 % of that of `beats`, otherwise even beats.
+    /// The beats that segments are aligned with. The default is the beats tracked in the song if
+    /// their number is within 2 % of the number of `beats`, otherwise even beats.
     pub grid: Option<Grid>,
     /// Metres of one unit of a BVH file, or its name. The default is centimetres.
     pub units: Option<Units>,
@@ -92,8 +93,8 @@ pub struct SegmentPlan {
     pub motion: String,
     /// First and last frame in the file, counted from 0; fractions are allowed.
     pub frames: [f64; 2],
-    /// Its length in beats. The first segment starts at the first beat, each other where the last
-    /// ends.
+    /// Its length in beats. The first segment starts at the first beat, each other segment at the
+    /// end of the previous one.
     pub beats: f64,
 }
 
@@ -108,7 +109,7 @@ pub struct ChoreonetPlan {
     pub intervals: String,
     /// Folder of the capture files, `NAME.c3d`.
     pub captures: String,
-    /// A song; `{type}` and `{id}` stand for those of the dance.
+    /// A song; `{type}` and `{id}` stand for the dance's type and id.
     pub music: String,
     /// Dance types with three beats in a bar.
     #[serde(default = "waltz")]
@@ -131,14 +132,14 @@ fn waltz() -> Vec<String> {
 #[derive(Clone, Copy, Debug, Deserialize, Eq, JsonSchema, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Grid {
-    /// Those tracked in the song, counted from the one nearest to the start of `beats`.
+    /// Beats tracked in the song, counted from the tracked beat nearest to the start of `beats`.
     Tracked,
     /// Even beats from the start of `beats`.
     Uniform,
 }
 
 impl TakePlan {
-    /// Checks everything but the files; an error names the key.
+    /// Checks everything except the files; an error names the key.
     pub(crate) fn check(&self) -> Result<(), InvalidSetting> {
         let label = self.label.as_deref().unwrap_or("x");
         let found = format!("\"{label}\"");

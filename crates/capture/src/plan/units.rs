@@ -19,7 +19,7 @@ pub enum Units {
     Inch,
     /// The unit of the CMU motion capture database: 2.54 / 0.45 cm.
     Cmu,
-    /// So many metres.
+    /// Any number of metres.
     #[serde(untagged)]
     Metres(f64),
 }

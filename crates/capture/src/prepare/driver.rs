@@ -1,4 +1,4 @@
-//! The driver: takes that have changed are made again, several at a time.
+//! The driver makes takes that have changed again, several at a time.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -21,18 +21,18 @@ pub struct PrepareOptions {
     pub prune: bool,
 }
 
-/// Progress of a preparation, and a request to stop it. Called from several threads.
+/// Progress of a preparation, and requests to stop it. The methods are called from several threads.
 pub trait PrepareObserver: Sync {
-    /// So many of so many takes are done.
+    /// Reports that `takes` of `total` takes are done.
     fn done(&self, takes: usize, total: usize);
     /// Returns true to stop after the takes under way.
     fn stop_requested(&self) -> bool;
 }
 
-/// Frames of a take that no phrase or clip has.
+/// Frames of a take in no phrase or clip.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct Rejection {
-    /// First of them on the take's time line.
+    /// First frame on the take's timeline.
     pub first_frame: usize,
     /// Number of frames.
     pub frames: usize,
@@ -49,7 +49,7 @@ pub(crate) trait Row: DeserializeOwned + Serialize + Send {
 pub(crate) trait Report: DeserializeOwned + Serialize + Send {
     /// The report of the take `name`, which cannot be used.
     fn failed(name: &str, problem: String) -> Self;
-    /// The reason if the take cannot be used, and the frames that no item has.
+    /// The reason if the take cannot be used, and the frames in no item.
     fn problems(&self) -> (Option<&str>, &[Rejection]);
 }
 
@@ -58,7 +58,7 @@ pub(crate) trait Maker: Sync {
     /// The kind of item, for messages.
     const ITEM: &'static str;
     type Take: Sync;
-    /// Data that is read before it is known if the take must be made again.
+    /// Data that is read before the decision to make the take again.
     type Input;
     /// Data that the takes of a group share.
     type Shared: Default;
@@ -67,11 +67,11 @@ pub(crate) trait Maker: Sync {
 
     fn name<'a>(&self, take: &'a Self::Take) -> &'a str;
 
-    /// Reads a take's inputs, and their checksum with that of its part of the plan. An error is the
-    /// reason why the take cannot be used.
+    /// Reads a take's inputs, with a checksum of the inputs and the take's part of the plan. An
+    /// error is the reason why the take cannot be used.
     fn read(&self, take: &Self::Take) -> Result<(Digest, Self::Input), String>;
 
-    /// Writes the items of a take. The report of a take that cannot be used has the reason.
+    /// Writes the items of a take. The report of an unusable take contains the reason.
     fn make(
         &self,
         take: &Self::Take,
@@ -84,8 +84,8 @@ pub(crate) trait Maker: Sync {
 /// The journals of a maker's takes.
 pub(crate) type Journals<M> = Vec<Journal<<M as Maker>::Row, <M as Maker>::Report>>;
 
-/// Makes the takes that have changed and returns all journals, sorted by name. One thread makes
-/// the takes of a group, one after the other. `None` if the observer stopped it.
+/// Makes the takes that have changed and returns all journals, sorted by name. One thread makes the
+/// takes of a group, one after the other. `None` if the observer stopped the preparation.
 /// [`Error::Plan`] if no take gave an item.
 pub(crate) fn make_takes<M: Maker>(
     maker: &M,

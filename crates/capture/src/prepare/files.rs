@@ -8,7 +8,7 @@ use kinegrad_data::matches;
 /// The longest capture file: an hour of full-body marker data.
 const MAX_BYTES: u64 = 2 << 30;
 
-/// The bytes of a file that may be as long as [`MAX_BYTES`].
+/// The bytes of a file of at most [`MAX_BYTES`].
 pub(crate) fn bytes(path: &Path) -> Result<Vec<u8>, String> {
     read_file(path, MAX_BYTES).map_err(|problem| format!("{}: {problem}", path.display()))
 }
@@ -20,8 +20,8 @@ pub(crate) fn named(pattern: &str, found: &Path) -> String {
     named.to_string_lossy().into_owned()
 }
 
-/// The file at `path`, or those that match a pattern in its name and have one of the `endings`;
-/// sorted, at least one, no hidden ones.
+/// The file at `path`, or the files that match a pattern in its name and have one of the `endings`:
+/// sorted, at least one, without hidden files.
 pub(crate) fn matching(path: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, String> {
     let missing = || format!("there is no file {}", path.display());
     let pattern = path.file_name().unwrap_or_default().to_string_lossy();

@@ -20,7 +20,7 @@ pub(crate) struct Journal<Row, Report> {
     pub key: Digest,
     pub rows: Vec<Row>,
     pub report: Report,
-    /// True if an earlier preparation made it.
+    /// True if an earlier preparation wrote the journal.
     #[serde(skip)]
     pub reused: bool,
 }

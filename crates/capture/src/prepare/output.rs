@@ -32,9 +32,9 @@ pub(crate) struct Parts {
 pub(crate) struct Output {
     pub store: Store,
     parts: Parts,
-    /// The files of items that were there before, with their lengths.
+    /// The earlier files of items, with their lengths.
     present: HashMap<String, u64>,
-    /// Written in place of the report until the end; identifies this preparation.
+    /// Identifies this preparation; written in place of the report until the end.
     mark: Vec<u8>,
     state: Mutex<WriteState>,
 }
@@ -72,8 +72,8 @@ fn remove_unfinished(store: &Store) -> Result<(), Error> {
 }
 
 impl Output {
-    /// The place that the plan names. [`Error::Data`] if it contains a dataset of another origin or
-    /// cannot be used, [`Error::Busy`] if another preparation is writing.
+    /// Opens the place that the plan names. [`Error::Data`] if the place contains a dataset of
+    /// another origin or cannot be used, [`Error::Busy`] if another preparation is writing.
     pub fn open(plan: &Plan, parts: Parts) -> Result<Self, Error> {
         let place = match plan.output.contains("://") {
             true => plan.output.clone(),
@@ -104,7 +104,7 @@ impl Output {
         })
     }
 
-    /// True if a file is unchanged: by its checksum, or in a bucket by its length alone.
+    /// True if a file has an unchanged checksum, or in a bucket an unchanged length.
     pub fn holds(&self, path: &str, bytes: i64, digest: Digest) -> bool {
         let as_long = self.present.get(path).copied() == u64::try_from(bytes).ok();
         let same = || {
@@ -114,8 +114,8 @@ impl Output {
         as_long && (self.store.is_remote() || same())
     }
 
-    /// Writes a file of the dataset. Before the first file, the index is removed, because it would
-    /// be wrong, and this preparation's mark is written.
+    /// Writes a file of the dataset. Before the first file, the outdated index is removed and this
+    /// preparation's mark is written.
     pub fn write(&self, path: &str, bytes: Vec<u8>) -> Result<(), Error> {
         {
             let mut state = self.state.lock().expect("no thread panics");
@@ -162,7 +162,7 @@ impl Output {
         write_index(&self.store)?;
         let text = serde_json::to_vec_pretty(&report).expect("plain data");
         self.store.write(PREPARATION, text)?;
-        // Last, because the old index lists them.
+        // Stale files are removed last, because the old index lists them.
         if prune {
             for path in stale {
                 self.store.remove(path)?;

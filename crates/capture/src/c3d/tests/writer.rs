@@ -10,7 +10,7 @@ pub struct Example {
     pub scale: f32,
     pub rate: f32,
     pub units: Option<&'static str>,
-    /// Labels, laid down as LABELS, LABELS2, ... of `labels_per_parameter` each.
+    /// Labels, written as LABELS, LABELS2, ... of `labels_per_parameter` each.
     pub labels: Vec<String>,
     pub labels_per_parameter: usize,
     /// Analog samples in a frame, all channels together.

@@ -35,7 +35,7 @@ fn beats_of(seconds: &[f64]) -> Vec<(f64, f32)> {
     seconds.iter().map(|s| (*s, 1.0)).collect()
 }
 
-/// So many even beats in bars of four from `start` to `end`.
+/// `count` even beats in bars of four from `start` to `end`.
 fn stated(count: f64, start: f64, end: f64) -> BeatGrid {
     BeatGrid {
         start_seconds: start,
@@ -45,8 +45,8 @@ fn stated(count: f64, start: f64, end: f64) -> BeatGrid {
     }
 }
 
-/// A song of 72 beats that slows down, of which 64 are danced from the fourth on; the moments of
-/// the danced beats, with the one after.
+/// A song of 72 beats that slows down; 64 beats are danced from the fourth on. Returns the times of
+/// the danced beats and of the next beat.
 fn slowing() -> (Song, Vec<f64>) {
     let beats = drifting(72, 0.7, 0.46, 0.56);
     (song(&beats_of(&beats), 40.0), beats[3..=67].to_vec())
@@ -95,7 +95,7 @@ fn segments_lie_on_the_beats_of_a_song_that_slows_down() {
 
 #[test]
 fn the_stated_count_settles_the_octave() {
-    // Off-beats nearly as strong as the beats, 69 of them a minute.
+    // Off-beats nearly as strong as the beats, at 69 beats a minute.
     let length = 26.0 / FPS;
     let beats: Vec<f64> = (0..80).map(|k| 0.4 + length * f64::from(k)).collect();
     let off_beats = beats.iter().map(|s| (s + length / 2.0, 0.9));
@@ -156,7 +156,7 @@ fn a_count_off_by_one_is_laid_and_one_off_by_five_percent_is_not() {
 fn a_song_that_ends_early_is_held_against_what_it_plays() {
     let (_, danced) = slowing();
     let song = song(&beats_of(&danced[..64]), danced[64]);
-    // Twice as many beats as the song plays, at the pace of those that it does.
+    // Twice the number of the song's beats, at the tempo of the song.
     let end = danced[0] + 2.0 * (danced[64] - danced[0]);
     let timeline = laid(stated(128.0, danced[0], end), 128.0, &song);
     let report = timeline.report.as_ref().expect("a report");
