@@ -66,8 +66,8 @@ impl Pulse {
         Self::new(vec![start, start + seconds_per_beat])
     }
 
-    /// Smoothed beats of a tracker, which rounds them to frames. Each beat moves by at most a frame
-    /// towards the line fitted to four beats on either side. `None` for fewer than two beats.
+    /// The smoothed beats of a tracker that rounds beats to frames. Each beat moves by at most a
+    /// frame towards the line fitted to four beats on either side. `None` for fewer than two beats.
     pub fn tracked(beats: &Beats) -> Option<Self> {
         let tracked = beats.times();
         let smoothed = (0..tracked.len()).map(|k| {

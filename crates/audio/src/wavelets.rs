@@ -35,7 +35,7 @@ impl Wavelet {
     }
 }
 
-/// Samples at 22050 Hz between two samples of a frame; octave 0 is the top one.
+/// Samples at 22050 Hz between two samples of a frame; octave 0 is the top octave.
 pub(crate) fn stride(octave: usize) -> usize {
     1 << octave
 }

@@ -18,7 +18,7 @@ pub struct Segment {
     /// Fractional frames of the take, counted from 0: played from the first to just before the
     /// last.
     pub capture_frames: Range<f64>,
-    /// Seconds of music from its beginning to the segment.
+    /// Seconds from the beginning of the music to the segment.
     pub start_seconds: f64,
     /// Length in seconds of music, positive.
     pub seconds: f64,
@@ -43,7 +43,7 @@ pub struct Assembly {
 /// A moment of a take.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moment {
-    /// Index of the segment that plays it.
+    /// Index of the segment that plays the moment.
     pub segment: usize,
     /// Index of the take.
     pub take: usize,

@@ -95,8 +95,8 @@ struct Shift {
     floor: [f64; 2],
     /// Metres from the captured height at the border up to the expected height.
     rise: f64,
-    /// Rotation vector in radians that takes the turned orientation at the border to the one
-    /// before it.
+    /// Rotation vector in radians that takes the turned orientation at the border to the
+    /// orientation before it.
     tilt: [f64; 3],
 }
 

@@ -22,9 +22,8 @@ pub struct Stretch {
     style: Vec<[f64; 8]>,
 }
 
-/// The runs of valid frames of a track at 30 frames per second, each as long as it can be. `phase`
-/// `[frames]` is the phase of the whole track; style is measured over each run
-/// ([`style::describe`]).
+/// The maximal runs of valid frames of a track at 30 frames per second. `phase` `[frames]` is the
+/// phase of the whole track; style is measured over each run ([`style::describe`]).
 ///
 /// # Errors
 /// [`Error::Setting`] for a track at another rate, [`Error::Motion`] for a phase of another length.

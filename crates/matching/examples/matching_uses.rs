@@ -85,8 +85,8 @@ fn main() {
     print("second as it is", &[distances(&made, &frames, &second)]);
 }
 
-/// Distances of a motion's windows to those of both files, over the legs' joints and all others,
-/// and the motion's jerk.
+/// Distances of a motion's windows to the windows of both files, over the legs' joints and all
+/// others, and the motion's jerk.
 fn distances(made: &Made, motion: &Frames, second: &Example) -> [f64; 6] {
     let layout = &made.layout;
     let both = [

@@ -41,7 +41,7 @@ impl Constraint {
     /// Applies `constraints` to the motion of a level, `[frames, channels]`.
     ///
     /// Key frames are exact, or averaged if they fall into one frame of a coarse level. Frames
-    /// around a key frame blend into the source, so that its patches match at every level. The
+    /// around a key frame blend into the source, whose patches then match at every level. The
     /// weight falls to 0 within the reach or before the next key frame of the channel. Fixed
     /// channels are set last. `is_loop`: the last frame is followed by the first. Returns true for
     /// each blended frame; without key frames, the list is empty.

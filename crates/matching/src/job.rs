@@ -1,4 +1,4 @@
-//! Jobs: from BVH motions to a new one.
+//! Jobs, which make a new motion from BVH motions.
 
 use kinegrad_capture::{Bvh, UpAxis};
 use kinegrad_motion::MAX_FRAMES;
@@ -41,7 +41,7 @@ pub enum PartChoice {
 pub struct Fixed {
     /// The part, named as in [`Part::named`].
     pub part: String,
-    /// The motion, as long as the new one.
+    /// The motion, as long as the new motion.
     pub motion: Example,
 }
 

@@ -27,7 +27,7 @@ pub struct Made {
 }
 
 impl Made {
-    /// Measures over the rotations of the joints with these indices; over all joints if empty.
+    /// Measures over the rotations of `joints`, by index; an empty list stands for all joints.
     pub fn measures(&self, joints: &[usize]) -> Option<Measures> {
         let (motion, examples) = self.rotations(joints);
         Measures::of(&motion, &examples)
@@ -57,7 +57,7 @@ impl Made {
         is_loop.then(|| Seam::of(&self.layout, &self.bvh)).flatten()
     }
 
-    /// Rotations of these joints in the motion and the examples; of all joints if empty.
+    /// Rotations of `joints` in the motion and the examples; an empty list stands for all joints.
     fn rotations(&self, joints: &[usize]) -> (Frames, Vec<Frames>) {
         let all: Vec<usize> = (0..self.layout.joints().len()).collect();
         let joints = if joints.is_empty() { &all } else { joints };

@@ -64,7 +64,7 @@ pub struct MotionMatrix {
     frame_time: f64,
     /// The joint whose trajectory carries the body.
     pub(crate) root_joint: usize,
-    /// Joints above the root joint, if these have no other descendants.
+    /// Joints above the root joint, if they have no other descendants.
     ancestors: Vec<usize>,
     /// Position of the unrotated ancestors in a new motion.
     base: [f64; 3],

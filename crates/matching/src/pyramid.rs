@@ -28,9 +28,9 @@ pub struct Levels {
 impl Levels {
     /// The levels for examples and a result of these lengths.
     ///
-    /// The example with the fewest levels determines their number; levels without a patch are
-    /// dropped. If rounding gives the synthesis another number of levels, its lengths are
-    /// proportional to those of the longest example, and at least a patch.
+    /// The example with the fewest levels determines the number of levels; levels without a patch
+    /// are dropped. If rounding gives the synthesis another number, the synthesis has lengths
+    /// proportional to those of the longest example, at least a patch.
     ///
     /// # Panics
     /// Panics if there are no examples.

@@ -108,7 +108,7 @@ pub enum Preset {
 pub struct Settings {
     /// Frames of a patch, p; odd. Smaller patches make transitions more frequent.
     pub patch_size: usize,
-    /// Length of a level divided by that of the next finer one.
+    /// Length of a level divided by the length of the next finer level.
     pub pyr_factor: f64,
     /// Length of the coarsest level, K. More patches give more variety and less coherence.
     pub coarse_ratio: CoarseRatio,

@@ -53,7 +53,7 @@ impl Bvh {
     }
 }
 
-/// The channels of a joint, from those of the frame before.
+/// Writes a pose over the joint's channels of the frame before.
 fn write(joint: &Joint, pose: &RootPose, channels: &mut [f64]) {
     let mut turns: Vec<(Axis, usize)> = Vec::with_capacity(3);
     for (place, channel) in joint.channels.iter().enumerate() {

@@ -26,7 +26,7 @@ const ANKLE: f64 = 0.04;
 const ELBOW: f64 = 0.04;
 /// Metres from the marker on a shoulder down to its centre.
 const SHOULDER: f64 = 0.045;
-/// Sine of the bend of an elbow from which on its plane is well known.
+/// Sine of the bend from which on the plane of an elbow is well known.
 const BENT: f64 = 0.15;
 
 /// The markers that are needed, in pairs.

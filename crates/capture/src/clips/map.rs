@@ -135,7 +135,7 @@ struct MapFile {
 /// A place on a body of a capture.
 #[derive(Clone, Copy, Debug)]
 struct Place {
-    /// The joint that it moves with.
+    /// The joint that the place moves with.
     from: usize,
     /// Another joint, and the fraction of the line towards it.
     to: usize,

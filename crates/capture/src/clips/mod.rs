@@ -1,6 +1,6 @@
 //! Datasets of clips: full-body captures become a dataset in the layout of HumanML3D.
 //!
-//! A [joint map](map::JointMap) names the joints of a BVH capture that are the 22 joints of the
+//! A [joint map](map::JointMap) names the joints of a BVH capture for the 22 joints of the
 //! dataset's skeleton. The joints of a C3D capture are estimated from its markers. The
 //! [body](body::Body) is resampled to 20 frames per second, retargeted to one skeleton, put on the
 //! floor and cut into clips. Labels come from file names, JSON, a table or the plan; captions are

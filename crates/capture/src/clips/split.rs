@@ -56,7 +56,7 @@ pub(super) struct Parts {
 
 impl SplitPlan {
     /// The set of each of the `takes`. A set without patterns gets the last takes of each group by
-    /// number. The test set gets the very last takes, and the validation set those before.
+    /// number. The test set gets the very last takes, and the validation set the takes before.
     /// Neighbouring takes may be of one actor, so ranges are held out, not every n-th take. A group
     /// has at least one training take, and takes of one file stay together.
     pub(super) fn parts(&self, takes: &[SplitTake<'_>]) -> Parts {
@@ -79,7 +79,7 @@ impl SplitPlan {
         }
         let (mut count, mut too_small) = (0, 0);
         for mut group in groups.into_values() {
-            // The takes of a file count as one, in the group of the last of them.
+            // The takes of a file count as one take in the group of the last.
             group.retain(|place| of_file[takes[*place].file.as_str()].last() == Some(place));
             if group.is_empty() {
                 continue;

@@ -1,7 +1,7 @@
 //! The pelvis pose from markers.
 //!
-//! With `f` from the back to the front markers and `l` from the right to the left ones, the columns
-//! of the rotation matrix are the body axes
+//! With `f` from the back to the front markers and `l` from the right to the left markers, the
+//! columns of the rotation matrix are the body axes
 //! ```text
 //! z_b = f / |f|    x_b = (l - (l . z_b) z_b) / |...|    y_b = z_b x x_b
 //! ```
@@ -22,7 +22,7 @@ pub struct MarkerRoot {
     frames: Vec<Option<Axes>>,
     rate: f64,
     gaps: Vec<MarkerGaps>,
-    /// Turns the body about its own axes, after everything else.
+    /// Turns the body about its own axes, after all other corrections.
     levelling: Quaternion,
 }
 

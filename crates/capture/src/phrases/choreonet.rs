@@ -1,5 +1,5 @@
-//! The ChoreoNet data as takes: each dance is a list of captured units, end to end on the even
-//! beats between two moments of its song.
+//! The ChoreoNet data as takes. Each dance is a list of captured units, placed end to end on even
+//! beats between two moments of a song.
 
 use std::collections::HashMap;
 use std::path::Path;

@@ -1,5 +1,5 @@
-//! The beats that segments are aligned with: the beats of the song if their number is the stated
-//! one, otherwise even beats.
+//! The beats that segments are aligned with: the song's beats if the song has the stated number,
+//! otherwise even beats.
 
 use kinegrad_audio::Pulse;
 

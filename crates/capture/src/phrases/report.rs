@@ -56,7 +56,7 @@ pub struct TakeReport {
     pub grid: Option<GridReport>,
 }
 
-/// Agreement of the stated beats of a take with those tracked in its song.
+/// Agreement of the stated beats of a take with the beats tracked in its song.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct GridReport {
     /// The beats that the segments are aligned with.

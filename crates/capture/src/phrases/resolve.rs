@@ -7,7 +7,7 @@ use kinegrad_data::{MAX_FRAMES, check_id};
 use crate::plan::{Plan, TakePlan};
 use crate::prepare::files::{matching, named};
 
-/// Extensions of songs; a `*` in a song's name matches only these files.
+/// Extensions of songs; a `*` in a song's name matches only files with these extensions.
 const SONGS: [&str; 5] = ["mp3", "wav", "flac", "ogg", "oga"];
 
 /// A take with its files.

@@ -1,4 +1,4 @@
-//! Comparison of the stated beats of a take with those of its song.
+//! Comparison of the stated beats of a take with the beats of its song.
 
 use kinegrad_audio::beats::track_near;
 use kinegrad_audio::{Beats as Tracked, Pulse};
@@ -52,7 +52,7 @@ impl Span {
         tracked > 0 && (tracked as f64 - stated).abs() <= TOLERANCE * stated
     }
 
-    /// The tracked beats of the song. If their number disagrees, they are tracked again near the
+    /// The tracked beats of the song. If the number disagrees, beats are tracked again near the
     /// stated tempo, because a tracker may find every beat twice or only every other beat.
     pub fn song_beats(&self, song: &Song) -> Tracked {
         if self.agree(self.count(&song.beats)) {

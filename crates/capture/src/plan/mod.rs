@@ -127,7 +127,7 @@ impl Plan {
         Ok(plan)
     }
 
-    /// True for a plan of clips, false for one of phrases.
+    /// True for a plan of clips, false for a plan of phrases.
     pub fn is_of_clips(&self) -> bool {
         !self.captures.is_empty()
     }

@@ -70,7 +70,7 @@ pub struct TakePlan {
     /// The beats that segments are aligned with. The default is the beats tracked in the song if
     /// their number is within 2 % of the number of `beats`, otherwise even beats.
     pub grid: Option<Grid>,
-    /// Metres of one unit of a BVH file, or its name. The default is centimetres.
+    /// Metres of one unit of a BVH file, or the unit's name. The default is centimetres.
     pub units: Option<Units>,
     /// The axis of a BVH file that points up. The default is y.
     pub up: Option<UpAxis>,

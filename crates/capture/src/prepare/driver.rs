@@ -1,4 +1,4 @@
-//! The driver makes takes that have changed again, several at a time.
+//! The driver makes changed takes again, several at a time.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};

@@ -29,20 +29,19 @@ const MOST_PAIRS: usize = 20_000_000;
 /// averaged over the frames of a window. Source: GANimator's evaluation; docs/sources/genmm.md.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Measures {
-    /// Fraction of the examples' windows of 30 frames, without each last one, whose distance to the
-    /// nearest window of the motion is below 2. This limit is loose: frames of a dance are 2 to 3
-    /// apart.
+    /// Fraction of the examples' windows of 30 frames (except each example's last) whose distance
+    /// to the nearest window of the motion is below 2. This limit is loose: frames of a dance are 2
+    /// to 3 apart.
     pub coverage: f64,
     /// Mean distance of the examples' windows to the motion.
     pub window_cost: f64,
     /// Mean distance of the motion's windows of 15 frames, without the last, to the nearest window
     /// of the examples.
     pub local_diversity: f64,
-    /// Largest distance of these windows to the examples.
+    /// Largest distance of the motion's windows to the examples.
     pub furthest_window: f64,
     /// Mean distance of the motion's frames to the examples', minimised over cuts into segments of
-    /// at least 30 frames. Each segment follows one example. `None` if all examples are too short
-    /// for a cut.
+    /// at least 30 frames. Each segment follows one example. `None` if all examples are too short.
     pub global_diversity: Option<f64>,
 }
 

@@ -107,7 +107,7 @@ impl MotionMatrix {
     }
 
     /// Checks that no ancestor of the root joint rotates or moves; otherwise the root trajectory is
-    /// not relative to the ground. `option`: the option that requires this.
+    /// not relative to the ground. `option`: the option that needs the check.
     pub(crate) fn must_have_upright_root<'a>(
         &self,
         motions: impl IntoIterator<Item = &'a Example>,

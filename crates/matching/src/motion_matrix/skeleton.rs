@@ -21,10 +21,10 @@ pub(crate) fn thinning(bvh: &Bvh) -> (usize, f64) {
     (every, bvh.frame_time() * every as f64)
 }
 
-/// The joint that moves most among those that carry the body: the first joints of the hierarchy, or
-/// a joint with most of the body below it that moves further than any bone is long. In a chain
-/// without branches, the lowest joint that moves at least half as far is taken. `ranges`: the range
-/// of each joint within its parent.
+/// The joint that moves most among the joints that carry the body: the first joints of the
+/// hierarchy, and joints with most of the body below that move further than the longest bone. In a
+/// chain without branches, the lowest joint that moves at least half as far is taken. `ranges`: the
+/// range of each joint within its parent.
 pub(super) fn root_joint(bvh: &Bvh, ranges: &[f64]) -> usize {
     let joints = bvh.joints();
     // A sliding collar bone does not carry the body, nor does a back that sways behind a pelvis.
