@@ -122,7 +122,7 @@ fn from_a_dataset_on_disk_to_checked_samples_and_pictures() {
     }
 
     let checked = sandbox
-        .run("check set/motion --profile strict --source set")
+        .run("check set/motion --source set")
         .succeeded();
     assert!(
         checked.stdout.contains("10 of 10 pass"),
@@ -137,9 +137,9 @@ fn from_a_dataset_on_disk_to_checked_samples_and_pictures() {
         report["files"][10]["passed"].as_bool(),
         Some(json.code == Some(0))
     );
-    sandbox
-        .run("check dance.npy --profile strict")
-        .failed(2, &["--run", "--source"]);
+    // Without statistics the bounds are those of captured people.
+    let alone = sandbox.run("check set/motion").stdout;
+    assert!(alone.contains("captured people") && alone.contains("height"), "{alone}");
 }
 
 #[test]

@@ -28,7 +28,7 @@
 //! let phrases = stretches(&track, &phase)?[0].phrases(0, 60, 30)?;
 //! assert_eq!(phrases.len(), 3);
 //! for (_, phrase) in &phrases {
-//!     assert!(check(phrase, Profile::Ccmotion, None)?.passed);
+//!     assert!(check(phrase, Profile::Ccmotion, None).passed);
 //! }
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```

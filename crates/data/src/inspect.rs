@@ -215,8 +215,7 @@ fn inspect_items<T: Listable>(
             let checks = [Profile::Strict, Profile::Ccmotion].into_iter();
             let checks = checks.flat_map(|profile| {
                 let report = representation.check(&rows, profile, statistics.as_ref());
-                let checks = report.map(|report| report.checks).unwrap_or_default();
-                let failed = checks.into_iter().filter(|check| !check.passed);
+                let failed = report.checks.into_iter().filter(|check| !check.passed);
                 failed.map(move |check| {
                     let (name, message, allowed) = (check.name, check.message, check.threshold);
                     format!("fails the {profile} check {name}: {message}, {allowed} allowed")

@@ -28,24 +28,6 @@ pub enum Error {
         found: usize,
     },
 
-    /// The strict profile needs the statistics of training motion.
-    #[error("the profile `strict` compares with training motion, whose statistics are missing")]
-    #[diagnostic(help(
-        "name the run that contains them with option `run`, or the motion itself with option `source`, \
-         or use option `profile ccmotion`"
-    ))]
-    StatisticsNeeded,
-
-    /// The statistics do not describe the movement of training motion.
-    #[error(
-        "the statistics do not describe how training motion moves: they came with a dataset or \
-         from an older version of kinegrad"
-    )]
-    #[diagnostic(help(
-        "measure the training motion itself with option `source`, or use option `profile ccmotion`"
-    ))]
-    MovementUnknown,
-
     /// Stored statistics cannot be used.
     #[error("the statistics are unusable: {reason}")]
     #[diagnostic(help("compute them again from the training motion"))]

@@ -10,14 +10,15 @@
 //! let mut frame = [0.0f32; 25];
 //! frame[9] = 2.0; // a quaternion of twice the unit norm
 //! let motion = Phrase::new(frame.repeat(4))?;
-//! assert!(!check(&motion, Profile::Ccmotion, None)?.passed);
+//! assert!(!check(&motion, Profile::Ccmotion, None).passed);
 //! let repaired = process(&motion, &PostProcessConfig::default(), None);
-//! assert!(check(&repaired, Profile::Ccmotion, None)?.passed);
+//! assert!(check(&repaired, Profile::Ccmotion, None).passed);
 //! # Ok::<(), kinegrad_motion::Error>(())
 //! ```
 
 pub mod augment;
 pub mod banded;
+pub mod body_measures;
 pub mod channel_encoding;
 pub mod circular;
 pub mod coherence;
@@ -48,6 +49,7 @@ pub mod vector;
 mod random_phrase;
 
 pub use augment::{anchor_floor, mirror, rotate_yaw};
+pub use body_measures::{BodyMeasure, BodyValue};
 pub use channel_encoding::{ChannelEncoding, OrientationEncoding, PhaseEncoding};
 pub use derivatives::derive;
 pub use error::Error;

@@ -5,41 +5,27 @@
 
 use crate::derivatives::{angular_rates, differences, mean_norm};
 use crate::phrase::{PHASE, POSITION};
+use crate::quantiles::median;
+use crate::sanity::{Bounds, FACTOR, Margin};
 use crate::vector::length;
 use crate::{FPS, Phrase, Quaternion, circular};
 
 /// Frames in a second.
 const SECOND: usize = FPS as usize;
 
-/// Allowed factor beyond the 1st and 99th percentile of the training phrases.
-const FACTOR: f64 = 2.0;
-
-/// Allowed factor for the phase. Tempos vary less than dancers, and half the slowest tempo is an
-/// error.
+/// [`FACTOR`] of the phase: tempi vary less than dancers, and half the slowest tempo is an error.
 const PHASE_FACTOR: f64 = 1.5;
+
+/// Allowed distance of heights beyond the training phrases.
+const HEIGHT_MARGIN: Margin = Margin {
+    share: 0.15,
+    least: 0.05,
+};
 
 /// Tilt in degrees that is always allowed.
 const HARMLESS_TILT: f64 = 20.0;
 
-/// The sides on which a measure is compared with the training phrases.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Bounds {
-    /// From the 1st percentile divided by the factor to the 99th percentile times the factor.
-    Both(f64),
-    /// At most the 99th percentile times the factor.
-    Upper(f64),
-    /// At most the 99th percentile times `factor`, or at most `harmless`.
-    UpperBeyond {
-        /// Multiple of the 99th percentile.
-        factor: f64,
-        /// Value that is always allowed, in the measure's unit.
-        harmless: f64,
-    },
-    /// Not compared, because the measure depends on the phrase's length.
-    Unchecked,
-}
-
-/// A measure of a phrase's movement.
+/// A measure of how a phrase moves.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
 pub enum MotionMeasure {
     /// Mean speed of the root along its path, metres per second.
@@ -50,7 +36,13 @@ pub enum MotionMeasure {
     PathJerk,
     /// Mean distance on the floor between positions one second apart, metres.
     Travel,
-    /// Mean angle between the orientations of neighboring frames, degrees per second.
+    /// Median height of the root, metres.
+    Height,
+    /// Lowest height of the root, metres.
+    LowestHeight,
+    /// Highest height of the root, metres.
+    HighestHeight,
+    /// Mean angle between the orientations of neighbouring frames, degrees per second.
     TurnRate,
     /// Mean norm of the change of the angular velocity, degrees per second squared.
     TurnAcceleration,
@@ -70,11 +62,14 @@ pub enum MotionMeasure {
 
 impl MotionMeasure {
     /// All measures.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 15] = [
         Self::PathSpeed,
         Self::PathAcceleration,
         Self::PathJerk,
         Self::Travel,
+        Self::Height,
+        Self::LowestHeight,
+        Self::HighestHeight,
         Self::TurnRate,
         Self::TurnAcceleration,
         Self::LargestTurn,
@@ -92,6 +87,9 @@ impl MotionMeasure {
             Self::PathAcceleration => "path_acceleration",
             Self::PathJerk => "path_jerk",
             Self::Travel => "travel",
+            Self::Height => "height",
+            Self::LowestHeight => "lowest_height",
+            Self::HighestHeight => "highest_height",
             Self::TurnRate => "turn_rate",
             Self::TurnAcceleration => "turn_acceleration",
             Self::LargestTurn => "largest_turn",
@@ -110,6 +108,9 @@ impl MotionMeasure {
             Self::PathAcceleration => "mean acceleration of the path",
             Self::PathJerk => "mean jerk of the path",
             Self::Travel => "mean travel in a second",
+            Self::Height => "median height of the root",
+            Self::LowestHeight => "lowest height of the root",
+            Self::HighestHeight => "highest height of the root",
             Self::TurnRate => "mean turn rate",
             Self::TurnAcceleration => "mean change of the turn rate",
             Self::LargestTurn => "largest turn from one frame to the next",
@@ -127,7 +128,11 @@ impl MotionMeasure {
             Self::PathSpeed => "m/s",
             Self::PathAcceleration => "m/s^2",
             Self::PathJerk => "m/s^3",
-            Self::Travel | Self::NetTravel => "m",
+            Self::Travel
+            | Self::Height
+            | Self::LowestHeight
+            | Self::HighestHeight
+            | Self::NetTravel => "m",
             Self::TurnRate => "degrees/s",
             Self::TurnAcceleration => "degrees/s^2",
             Self::LargestTurn | Self::LargestTilt => "degrees",
@@ -145,8 +150,12 @@ impl MotionMeasure {
             Self::LargestTilt => Bounds::UpperBeyond {
                 factor: FACTOR,
                 harmless: HARMLESS_TILT,
+                end: 180.0,
             },
             Self::PhaseRate => Bounds::Both(PHASE_FACTOR),
+            Self::Height => Bounds::Around(HEIGHT_MARGIN),
+            Self::LowestHeight => Bounds::NotBelow(HEIGHT_MARGIN),
+            Self::HighestHeight => Bounds::NotAbove(HEIGHT_MARGIN),
             Self::NetTravel | Self::PhaseWraps => Bounds::Unchecked,
             _ => Bounds::Both(FACTOR),
         }
@@ -170,6 +179,9 @@ impl MotionMeasure {
                 let apart = (SECOND..frames).map(|t| floor_distance(motion, t - SECOND, t));
                 mean(&apart.collect::<Vec<_>>())
             }
+            Self::Height => (frames > 0).then(|| median(heights(motion))),
+            Self::LowestHeight => largest(heights(motion).iter().map(|h| -h).collect()).map(|h| -h),
+            Self::HighestHeight => largest(heights(motion)),
             Self::TurnRate => mean(&turns(motion)).map(|rate| rate * FPS),
             Self::TurnAcceleration => {
                 let changes = differences(&angular_rates(motion), FPS);
@@ -201,7 +213,12 @@ fn floor_distance(motion: &Phrase, from: usize, to: usize) -> f64 {
     (b[0] - a[0]).hypot(b[2] - a[2])
 }
 
-/// Angles between neighboring frames, degrees, `[frames - 1]`.
+/// Heights of the root, metres, `[frames]`.
+fn heights(motion: &Phrase) -> Vec<f64> {
+    motion.column(POSITION.start + 1)
+}
+
+/// Angles between neighbouring frames, degrees, `[frames - 1]`.
 fn turns(motion: &Phrase) -> Vec<f64> {
     let degrees = |rate| (length(rate) / FPS).to_degrees();
     angular_rates(motion).into_iter().map(degrees).collect()
@@ -258,6 +275,9 @@ mod tests {
             0.0,
             0.0,
             0.6,
+            1.0,
+            1.0,
+            1.0,
             90.0,
             0.0,
             3.0,
@@ -365,8 +385,8 @@ mod tests {
 
     #[test]
     fn too_few_frames_have_no_value() {
-        // Smallest number of frames with a value, by measure.
-        let needed = [2, 3, 4, 31, 2, 3, 2, 1, 2, 2, 2, 2];
+        // From how many frames on each has one.
+        let needed = [2, 3, 4, 31, 1, 1, 1, 2, 3, 2, 1, 2, 2, 2, 2];
         for frames in [1, 2, 3, 4, 30, 31] {
             let motion = constant_motion(frames);
             for (measure, needed) in MotionMeasure::ALL.into_iter().zip(needed) {

@@ -88,6 +88,12 @@ impl Statistics {
         .checked()
     }
 
+    /// Whether they contain the measures of movement; those that come with a dataset do not.
+    pub fn describes_movement(&self) -> bool {
+        let means = [self.rms_speed, self.rms_acceleration, self.jerk_p95];
+        !self.movement.is_empty() && means.iter().all(Option::is_some)
+    }
+
     /// Number of channels.
     pub fn channels(&self) -> usize {
         self.mean.len()

@@ -32,7 +32,7 @@ pub fn check(
             }
             _ => None,
         };
-        let report = representation.check(&values, profile, statistics.as_ref())?;
+        let report = representation.check(&values, profile, statistics.as_ref());
         Ok(json(&report))
     })
 }

@@ -204,7 +204,7 @@ impl AlignedTake<'_> {
         let mut borders = self.aligned.borders.iter();
         let joined = borders.any(|border| (frames.start + 1..frames.end).contains(border));
         let damaged = self.song.is_some_and(|song| song.damage.is_some());
-        let sane = check(motion, Profile::Ccmotion, None).is_ok_and(|report| report.passed);
+        let sane = check(motion, Profile::Ccmotion, None).passed;
         let flags = [
             (self.song.is_none(), Flag::NoAudio),
             (self.timeline.beats.is_none(), Flag::NoBeats),

@@ -19,9 +19,9 @@ pub struct CheckArguments {
     /// Motion files (.npy), or folders of them
     #[arg(required = true, value_name = "PATH")]
     pub paths: Vec<PathBuf>,
-    /// Checks: `ccmotion` (CC-MotionGen's five checks of means over all frames) or `strict` (checks
-    /// of every frame, with bounds from training motion)
-    #[arg(long, value_parser = named::<Profile>, default_value = "ccmotion")]
+    /// Checks: `strict`, on every frame, with bounds from training motion, or from captured people
+    /// without --run and --source; or `ccmotion`, CC-MotionGen's five on means over all frames
+    #[arg(long, value_parser = named::<Profile>, default_value = "strict")]
     pub profile: Profile,
     /// Run or checkpoint with the training statistics for `strict`
     #[arg(long, value_name = "RUN", conflicts_with = "source")]

@@ -20,6 +20,7 @@ use crate::output;
 /// Checks each file; exit code 1 if any fails.
 pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, Error> {
     let mut reports = Vec::new();
+    let mut of_people = false;
     let mut files = motion_files(&arguments.paths, &["npy"])?;
     if arguments.raw {
         files = with_raw(files);
@@ -41,7 +42,7 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
         let statistics = statistics(&arguments, state.as_ref(), &*array.representation)?;
         let (representation, statistics) = (array.representation, statistics.as_ref());
         let report = representation.check(&array.values, arguments.profile, statistics);
-        let report = report.map_err(|error| unusable(&arguments, error))?;
+        of_people |= strict && statistics.is_none_or(|known| known.movement.is_empty());
         reports.push((path.display().to_string(), report));
     }
     let passed = reports.iter().filter(|(_, report)| report.passed).count();
@@ -53,6 +54,11 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
     } else {
         for (path, report) in &reports {
             say!("{path}\n{}\n", report_table(report));
+        }
+        if of_people {
+            say!(
+                "The bounds are those of captured people; --run or --source sets those of your data.\n"
+            );
         }
         say!("{passed} of {} pass ({:.0} %)", reports.len(), 100.0 * rate);
         if reports.len() > 1 {
@@ -70,27 +76,6 @@ fn unknown(path: &Path, joints: usize, error: &Error) -> Error {
         format!("{path}: {joints} joints of an unknown skeleton cannot be checked"),
         format!("{known}; `kinegrad view` and `kinegrad plot` show joints of any skeleton"),
     )
-}
-
-/// The error of a check. For incomplete statistics, the error names the run and a dataset with
-/// complete statistics.
-fn unusable(arguments: &CheckArguments, error: kinegrad_motion::Error) -> Error {
-    use kinegrad_motion::Error::{MovementUnknown, StatisticsNeeded};
-    let (StatisticsNeeded | MovementUnknown, Some(run)) = (&error, &arguments.run) else {
-        return error.into();
-    };
-    let message = format!(
-        "{} has no statistics of movement: its statistics came with the dataset, or are of an older \
-         version",
-        run.display()
-    );
-    let state = checkpoint(run).ok().map(|saved| saved.state);
-    let source = state.and_then(|state| state.config.data.source);
-    let source = source.unwrap_or_else(|| "URI".to_owned());
-    let hint = format!(
-        "use the dataset's: `--source {source}` instead of `--run`, or `--profile ccmotion`"
-    );
-    Error::usage(message, hint)
 }
 
 /// The statistics of `--run` or `--source`, in this `representation`.

@@ -8,7 +8,10 @@ use crate::humanml::units::MILLIMETRE;
 use crate::humanml::{FeatureLayout, Features, Joints, Root, Skeleton};
 use crate::statistics::CONSTANT;
 use crate::vector::{length, minus};
-use crate::{ChannelMoments, Statistics};
+use crate::{BodyMeasure, ChannelMoments, Check, Statistics, Threshold};
+
+/// Allowed mean error of the stated velocities, as a share of the mean step.
+const VELOCITY_SHARE: f64 = 0.75;
 
 /// Allowed deviation of a rotation's columns from unit length.
 const COLUMN_TOLERANCE: f32 = 0.05;
@@ -109,8 +112,18 @@ impl Representation for JointFeatures {
         Some(&self.skeleton)
     }
 
-    /// Root representations have equal channels. The representation that fits joint 0's steps is
-    /// accepted.
+    fn movement(&self, rows: &[f32]) -> Vec<(&'static str, f64)> {
+        movement(self, rows)
+    }
+
+    fn channel_checks(&self, rows: &[f32]) -> Vec<Check> {
+        self.features(rows)
+            .map(|features| velocities(&features))
+            .into_iter()
+            .collect()
+    }
+
+    /// Root representations have equal channels; the one that fits joint 0's steps is accepted.
     fn accepts(&self, shape: &[usize], values: &[f32]) -> bool {
         let fits =
             matches!(shape, [_, channels] if *channels == self.channels()) && !values.is_empty();
@@ -196,12 +209,64 @@ impl Representation for JointPositions {
         Some(&self.skeleton)
     }
 
+    fn movement(&self, rows: &[f32]) -> Vec<(&'static str, f64)> {
+        movement(self, rows)
+    }
+
+    fn channel_checks(&self, rows: &[f32]) -> Vec<Check> {
+        let joints = Joints::from_f32(rows, self.skeleton.joints());
+        joints
+            .map(|joints| metres(unit_of(&joints)))
+            .into_iter()
+            .collect()
+    }
+
     fn accepts(&self, shape: &[usize], _values: &[f32]) -> bool {
         matches!(shape, [frames, joints, 3] if *frames > 0 && *joints == self.skeleton.joints())
     }
 }
 
-/// Metres per unit of the positions, given that joints are at most about a metre from the root.
+/// The measures of a body by name.
+fn movement<R: Representation>(representation: &R, rows: &[f32]) -> Vec<(&'static str, f64)> {
+    let Some(joints) = representation.joints(rows) else {
+        return Vec::new();
+    };
+    let (skeleton, fps) = (representation.skeleton(), representation.fps());
+    let of =
+        |measure: BodyMeasure| Some((measure.name(), measure.of(&joints, skeleton, fps)?.value));
+    BodyMeasure::ALL.into_iter().filter_map(of).collect()
+}
+
+/// The stated velocities of the joints against the steps of their positions: the mean error as a
+/// share of the mean step. Motion whose frames are in reverse order has an error of about 2.
+fn velocities(features: &Features) -> Check {
+    let (joints, turns) = (features.joints(), features.root_quaternions());
+    let [mut error, mut size] = [0.0; 2];
+    for t in 0..features.frames().saturating_sub(1) {
+        let stated = &features.frame(t)[features.layout().velocities()];
+        let steps = joints.frame(t + 1).iter().zip(joints.frame(t));
+        for ((next, here), stated) in steps.zip(stated.as_chunks::<3>().0) {
+            let step = turns[t].rotate(minus(*next, *here));
+            error += length(minus(step, stated.map(f64::from)));
+            size += length(step);
+        }
+    }
+    let share = error / size.max(f64::MIN_POSITIVE);
+    let message = format!(
+        "mean error of the joints' velocities: {:.0} % of them",
+        100.0 * share
+    );
+    let allowed = Threshold::AtMost(VELOCITY_SHARE);
+    Check::new("velocity_coherence", share, allowed, message)
+}
+
+/// Files contain metres.
+fn metres(unit: f64) -> Check {
+    let message = format!("a unit of the positions is {unit} m by the size of the body");
+    Check::new("units", unit, Threshold::Within([1.0, 1.0]), message)
+}
+
+/// Metres per unit of the positions: joints are at most about a metre from the root.
 fn unit_of(joints: &Joints) -> f64 {
     /// Metres in a centimetre.
     const CENTIMETRE: f64 = 1e-2;

@@ -20,7 +20,7 @@ use crate::humanml::{Joints, Skeleton};
 use crate::metrics::mean_jerk;
 use crate::quantiles::percentile;
 use crate::sanity::body;
-use crate::{ChannelMoments, Error, Profile, Report, Statistics};
+use crate::{ChannelMoments, Check, Profile, Report, Statistics};
 
 /// A representation of motion. Rows are `[frames, channels]`, row-major, in the units of the
 /// dataset. Rows may contain any values, including NaN, unless stated otherwise.
@@ -88,17 +88,14 @@ pub trait Representation: Debug + Send + Sync {
         None
     }
 
-    /// Checks the plausibility of rows; `statistics` are those of training motion.
-    ///
-    /// # Errors
-    /// [`Error::StatisticsNeeded`], or [`Error::MovementUnknown`] if the statistics do not describe
-    /// movement. A failed check is not an error ([`Report::passed`]).
-    fn check(
-        &self,
-        rows: &[f32],
-        profile: Profile,
-        statistics: Option<&Statistics>,
-    ) -> Result<Report, Error> {
+    /// Checks of the channels themselves, of finite rows.
+    fn channel_checks(&self, _rows: &[f32]) -> Vec<Check> {
+        Vec::new()
+    }
+
+    /// Checks whether rows are plausible motion; `statistics` are those of training motion. Without
+    /// measures of movement in them, the bounds are those of captured people.
+    fn check(&self, rows: &[f32], profile: Profile, statistics: Option<&Statistics>) -> Report {
         body::check(self, rows, profile, statistics)
     }
 

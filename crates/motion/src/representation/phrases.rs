@@ -6,8 +6,8 @@ use crate::humanml::Joints;
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, QUATERNION, STYLE, VELOCITY};
 use crate::vector::length;
 use crate::{
-    CHANNELS, ChannelEncoding, ChannelMoments, Error, FPS, MotionMeasure, Phrase, Profile,
-    Quaternion, Report, Statistics, channel_name, sanity,
+    CHANNELS, ChannelEncoding, ChannelMoments, FPS, MotionMeasure, Phrase, Profile, Quaternion,
+    Report, Statistics, channel_name, sanity,
 };
 
 /// Phrases, `[frames, 25]` at 30 frames per second (docs/sources.md, section 1.1).
@@ -63,12 +63,7 @@ impl Representation for Phrases {
         Joints::new(motion(rows).vectors(POSITION), 1).ok()
     }
 
-    fn check(
-        &self,
-        rows: &[f32],
-        profile: Profile,
-        statistics: Option<&Statistics>,
-    ) -> Result<Report, Error> {
+    fn check(&self, rows: &[f32], profile: Profile, statistics: Option<&Statistics>) -> Report {
         sanity::check(&motion(rows), profile, statistics)
     }
 

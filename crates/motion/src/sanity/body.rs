@@ -1,49 +1,95 @@
-//! Checks of a body: bone lengths, feet, floor and jerk.
+//! Checks of a body: bones, axes and the measures of its movement.
 
-use super::{Check, JERK_FACTOR, Profile, Report, Threshold, finite, range};
+use super::{Check, JERK_FACTOR, Profile, Report, Threshold, finite, people, range};
 use crate::humanml::{Joints, Skeleton};
-use crate::metrics::{mean_jerk, sliding_ratio};
-use crate::vector::{length, minus};
-use crate::{Error, Representation, Statistics};
+use crate::metrics::mean_jerk;
+use crate::vector::{length, minus, unit};
+use crate::{BodyMeasure, BodyValue, Representation, Statistics};
 
 /// Allowed variation of a bone's length, relative to its mean.
 const BONE_TOLERANCE: f64 = 0.05;
-/// Allowed depth of a joint below the floor, metres.
-const FLOOR_TOLERANCE: f64 = 0.05;
-/// Allowed share of the steps in which a foot slides.
-const SKATING_SHARE: f64 = 0.5;
 /// Allowed multiple of the training clips' root mean square speed.
 const SPEED_FACTOR: f64 = 3.0;
+/// A body whose axis has less of the height, and more than [`ALONG`] of another axis, stands along it.
+const ACROSS: f64 = 0.5;
+/// See [`ACROSS`].
+const ALONG: f64 = 0.9;
+/// Largest distance of the lowest joint from the floor, along the axis on which a body stands, metres.
+const STANDS: f64 = 0.2;
 
-/// Checks the joints of `rows`; `strict` also compares with training motion.
+/// Checks the joints of `rows`. `strict` compares with the motion of `statistics` where they have the
+/// measures; the bounds of other measures are those of captured people.
 pub(crate) fn check<R: Representation + ?Sized>(
     representation: &R,
     rows: &[f32],
     profile: Profile,
     statistics: Option<&Statistics>,
-) -> Result<Report, Error> {
-    let mut checks = vec![finite(rows)];
-    let training = match profile {
-        Profile::Ccmotion => None,
-        Profile::Strict => Some(statistics.ok_or(Error::StatisticsNeeded)?),
-    };
-    let joints = representation.joints(rows);
+) -> Report {
+    let finite = finite(rows);
+    let joints = representation.joints(rows).filter(|_| finite.passed);
+    let mut checks = vec![finite];
     let Some(joints) = &joints else {
-        return Ok(Report::new(checks));
+        return Report::new(checks);
     };
-    let fps = representation.fps();
-    if let Some(skeleton) = representation.skeleton() {
-        checks.extend([bone_length(joints, skeleton), floor(joints)]);
-        checks.extend(skating(joints, skeleton, fps));
+    checks.extend(representation.channel_checks(rows));
+    let (fps, skeleton) = (representation.fps(), representation.skeleton());
+    if let Some(skeleton) = skeleton {
+        checks.push(bone_length(joints, skeleton));
+        checks.extend(lies_along(joints, skeleton));
     }
-    if let Some(training) = training {
-        if let Some(rms_speed) = training.rms_speed {
-            checks.push(speed(joints, fps, rms_speed));
+    let training = statistics.filter(|_| profile == Profile::Strict);
+    if let Some(rms_speed) = training.and_then(|training| training.rms_speed) {
+        checks.push(speed(joints, fps, rms_speed));
+    }
+    if skeleton.is_some() {
+        let jerk_p95 = training.and_then(|training| training.jerk_p95);
+        checks.extend(jerk(joints, fps, jerk_p95.unwrap_or(people::JERK_P95)));
+    }
+    let people = people::bodies();
+    for measure in BodyMeasure::ALL {
+        let known = training.and_then(|training| training.movement.get(measure.name()));
+        let bounds = known.or_else(|| people.get(measure.name())).copied();
+        let threshold = bounds.and_then(|bounds| measure.bounds().threshold(bounds, 1.0));
+        if let (Some(threshold), Some(value)) = (threshold, measure.of(joints, skeleton, fps)) {
+            let message = message(measure, value, skeleton);
+            checks.push(Check::new(measure.name(), value.value, threshold, message));
         }
-        let jerk_p95 = training.jerk_p95.ok_or(Error::StatisticsNeeded)?;
-        checks.extend(jerk(joints, fps, jerk_p95));
     }
-    Ok(Report::new(checks))
+    Report::new(checks)
+}
+
+/// The measurement in words, with the frame and the joint of an extreme.
+fn message(measure: BodyMeasure, value: BodyValue, skeleton: Option<&Skeleton>) -> String {
+    let mut message = format!("{} {:.3} {}", measure.title(), value.value, measure.unit());
+    if let Some(frame) = value.frame {
+        message = format!("{} in frame {frame}", message.trim_end());
+    }
+    if let (Some(joint), Some(skeleton)) = (value.joint, skeleton) {
+        message += &format!(", joint {}", skeleton.description().joint_names[joint]);
+    }
+    message
+}
+
+/// A check that fails where a body stands along another axis than y.
+fn lies_along(joints: &Joints, skeleton: &Skeleton) -> Option<Check> {
+    let [left, _, right, _] = skeleton.contact_joints();
+    let face = skeleton.description().face_joints;
+    let mut axis = [0.0; 3];
+    for frame in (0..joints.frames()).map(|t| joints.frame(t)) {
+        let middle = |a: usize, b: usize, i: usize| (frame[a][i] + frame[b][i]) / 2.0;
+        let up = |i| middle(face.left_shoulder, face.right_shoulder, i) - middle(left, right, i);
+        let up = unit([0, 1, 2].map(up));
+        (0..3).for_each(|i| axis[i] += up[i] / joints.frames() as f64);
+    }
+    let lowest = |i: usize| range(joints.as_slice().iter().map(|place| place[i]))[0];
+    let along = [0, 2]
+        .into_iter()
+        .find(|&i| axis[i] > ALONG && lowest(i).abs() < STANDS);
+    along.filter(|_| axis[1] < ACROSS).map(|i| {
+        let name = ["x", "y", "z"][i];
+        let message = format!("the body stands along {name}; y is up");
+        Check::new("up_axis", axis[1], Threshold::Above(ACROSS), message)
+    })
 }
 
 fn bone_length(joints: &Joints, skeleton: &Skeleton) -> Check {
@@ -60,13 +106,6 @@ fn bone_length(joints: &Joints, skeleton: &Skeleton) -> Check {
     let message = format!("largest change of a bone's length: {percent:.1} %");
     let allowed = Threshold::Below(BONE_TOLERANCE);
     Check::new("bone_length", largest, allowed, message)
-}
-
-fn skating(joints: &Joints, skeleton: &Skeleton, fps: f64) -> Option<Check> {
-    let ratio = sliding_ratio(joints, fps, &skeleton.contact_joints())?;
-    let message = format!("a foot slides in {:.0} % of the steps", 100.0 * ratio);
-    let allowed = Threshold::AtMost(SKATING_SHARE);
-    Some(Check::new("skating", ratio, allowed, message))
 }
 
 fn speed(joints: &Joints, fps: f64, rms_speed: f64) -> Check {
@@ -86,83 +125,5 @@ fn jerk(joints: &Joints, fps: f64, jerk_p95: f64) -> Option<Check> {
     Some(Check::new("jerk", mean, allowed, message))
 }
 
-fn floor(joints: &Joints) -> Check {
-    let heights = joints.as_slice().iter().map(|place| place[1]);
-    let [lowest, _] = range(heights);
-    let message = format!("lowest joint at {lowest:.3} m");
-    let allowed = Threshold::Above(-FLOOR_TOLERANCE);
-    Check::new("floor", lowest, allowed, message)
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::humanml::test_clip;
-    use crate::representation::{JointPositions, statistics_of};
-
-    fn representation() -> JointPositions {
-        JointPositions {
-            skeleton: Skeleton::humanml3d(),
-        }
-    }
-
-    /// The failing checks after `change` of the joints of a good clip, `[frames, 22, 3]`.
-    fn failing(change: impl Fn(usize, usize, &mut [f32; 3])) -> Vec<&'static str> {
-        let representation = representation();
-        let mut good = test_clip(&representation.skeleton, 40).to_f32();
-        // At this height no swinging foot reaches the floor.
-        good.iter_mut()
-            .skip(1)
-            .step_by(3)
-            .for_each(|height| *height += 0.5);
-        let statistics = statistics_of(&representation, [&good[..]]);
-        let training = Statistics {
-            rms_speed: Some(1.0),
-            ..statistics.expect("a clip")
-        };
-        let mut rows = good;
-        let (places, _) = rows.as_chunks_mut::<3>();
-        for (index, place) in places.iter_mut().enumerate() {
-            change(index / 22, index % 22, place);
-        }
-        let report = representation.check(&rows, Profile::Strict, Some(&training));
-        let failed = report.expect("a report").checks.into_iter();
-        failed
-            .filter(|check| !check.passed)
-            .map(|check| check.name)
-            .collect()
-    }
-
-    #[test]
-    fn each_check_has_a_motion_that_fails_it() {
-        assert!(failing(|_, _, _| ()).is_empty());
-        assert_eq!(
-            failing(|t, j, p| if (t, j) == (7, 3) {
-                p[1] = f32::NAN
-            }),
-            ["finite"]
-        );
-        let stretched = failing(|t, j, p| {
-            if j == 20 {
-                p[0] += 0.004 * t as f32
-            }
-        });
-        assert_eq!(stretched, ["bone_length"]);
-        // Feet below the floor are on the ground too and slide.
-        assert_eq!(failing(|_, _, p| p[1] -= 3.0), ["floor", "skating"]);
-        assert_eq!(failing(|t, _, p| p[0] += 0.3 * t as f32), ["speed"]);
-        let trembling = failing(|t, _, p| p[1] += 0.05 * (t % 2) as f32);
-        assert_eq!(trembling, ["jerk"]);
-    }
-
-    #[test]
-    fn feet_that_slide_along_the_floor_fail() {
-        let [.., foot] = Skeleton::humanml3d().contact_joints();
-        let sliding = failing(|t, j, p| {
-            if j == foot {
-                *p = [0.1 * t as f32, 0.01, 0.0]
-            }
-        });
-        assert!(sliding.contains(&"skating"), "{sliding:?}");
-    }
-}
+mod tests;

@@ -96,6 +96,8 @@ pub enum Threshold {
     AtMost(f64),
     /// More than the number.
     Above(f64),
+    /// More than the number or equal to it.
+    AtLeast(f64),
     /// Between the numbers, both included.
     Within([f64; 2]),
 }
@@ -107,6 +109,7 @@ impl Threshold {
             Self::Below(bound) => value < bound,
             Self::AtMost(bound) => value <= bound,
             Self::Above(bound) => value > bound,
+            Self::AtLeast(bound) => value >= bound,
             Self::Within([low, high]) => low <= value && value <= high,
         };
         match value {
@@ -119,7 +122,7 @@ impl Threshold {
     fn excess(self, value: Value) -> f64 {
         let excess = |value: f64| match self {
             Self::Below(bound) | Self::AtMost(bound) => value - bound,
-            Self::Above(bound) => bound - value,
+            Self::Above(bound) | Self::AtLeast(bound) => bound - value,
             Self::Within([low, high]) if value.is_nan() => low + high + value,
             Self::Within([low, high]) => (low - value).max(value - high),
         };
@@ -148,6 +151,7 @@ impl fmt::Display for Threshold {
             Self::Below(bound) => write!(f, "< {}", short(*bound)),
             Self::AtMost(bound) => write!(f, "<= {}", short(*bound)),
             Self::Above(bound) => write!(f, "> {}", short(*bound)),
+            Self::AtLeast(bound) => write!(f, ">= {}", short(*bound)),
             Self::Within([low, high]) => write!(f, "[{}, {}]", short(*low), short(*high)),
         }
     }

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::{Check, JERK_FACTOR, Report, Threshold, coherence, finite_phrase, jerk, phase, range};
 use crate::derivatives::{acceleration_errors, mean_norm, rotation_errors, velocity_errors};
-use crate::motion_measures::{Bounds, phase_steps};
+use crate::motion_measures::phase_steps;
 use crate::{FPS, MotionMeasure, Phrase, Statistics};
 
 /// Allowed deviation of a quaternion's norm from 1.
@@ -22,21 +22,15 @@ const SHORTEST_WINDOW: usize = 31;
 /// Allowed mean error of the angular velocity, radians per second.
 const MAX_ROTATION_ERROR: f64 = 0.1;
 
-/// Largest possible tilt, degrees; bounds stay below.
-const UPSIDE_DOWN: f64 = 180.0;
-
 /// Allowed backward step of the phase, bars.
 const PHASE_TOLERANCE: f64 = 0.01;
 
-/// Makes the checks of [`Profile::Strict`](super::Profile::Strict); none without measures.
+/// Makes the checks of [`Profile::Strict`](super::Profile::Strict).
 ///
-/// Means are checked in windows of the training phrases' length, an eighth of a length apart. The
-/// worst window is reported, so a minute of dancing does not compensate five seconds of standing.
-/// Short phrases lack some measures and have wider bounds.
-pub(super) fn check(motion: &Phrase, training: &Statistics) -> Option<Report> {
-    if training.movement.is_empty() {
-        return None;
-    }
+/// Means are checked in windows of the training phrases' length, an eighth apart, and the worst is
+/// reported: a minute of dancing does not compensate five seconds of standing. Short phrases lack
+/// some measures and have wider bounds.
+pub(super) fn check(motion: &Phrase, training: &Statistics) -> Report {
     let mut checks = vec![
         finite_phrase(motion),
         quaternion_norm(motion),
@@ -45,18 +39,18 @@ pub(super) fn check(motion: &Phrase, training: &Statistics) -> Option<Report> {
     ];
     checks.extend(phase_direction(motion));
     let windows = windows(motion.frames(), training);
-    let mut measured = means(&motion.slice(windows[0].clone()), training)?;
+    let mut measured = means(&motion.slice(windows[0].clone()), training);
     if windows.len() > 1 {
         name_window(&mut measured, &windows[0]);
         for window in &windows[1..] {
-            let mut others = means(&motion.slice(window.clone()), training)?;
+            let mut others = means(&motion.slice(window.clone()), training);
             name_window(&mut others, window);
             let pairs = measured.into_iter().zip(others);
             measured = pairs.map(|(one, other)| one.worse(other)).collect();
         }
     }
     checks.extend(measured);
-    Some(Report::new(checks))
+    Report::new(checks)
 }
 
 /// Windows of the training phrases' mean length, at least a second, that cover `frames` frames.
@@ -78,20 +72,26 @@ fn name_window(checks: &mut [Check], window: &Range<usize>) {
     }
 }
 
-/// Checks of means and of movement; none if the statistics lack a value.
-fn means(motion: &Phrase, training: &Statistics) -> Option<Vec<Check>> {
+/// Checks of means and of movement.
+fn means(motion: &Phrase, training: &Statistics) -> Vec<Check> {
+    let [speed, acceleration, jerk_p95] = [
+        training.rms_speed,
+        training.rms_acceleration,
+        training.jerk_p95,
+    ]
+    .map(Option::unwrap_or_default);
     let mut checks = vec![
         coherence(
             "velocity_coherence",
             mean_norm(&velocity_errors(motion)),
             "mean velocity error {error} m/s",
-            COHERENCE_SHARE * training.rms_speed?,
+            COHERENCE_SHARE * speed,
         ),
         coherence(
             "accel_coherence",
             mean_norm(&acceleration_errors(motion)),
             "mean acceleration error {error} m/s^2",
-            COHERENCE_SHARE * training.rms_acceleration?,
+            COHERENCE_SHARE * acceleration,
         ),
         coherence(
             "rotation_coherence",
@@ -99,32 +99,21 @@ fn means(motion: &Phrase, training: &Statistics) -> Option<Vec<Check>> {
             "mean error of the angular velocity {error} rad/s",
             MAX_ROTATION_ERROR,
         ),
-        jerk(motion, Threshold::AtMost(JERK_FACTOR * training.jerk_p95?)),
+        jerk(motion, Threshold::AtMost(JERK_FACTOR * jerk_p95)),
     ];
     let measures = MotionMeasure::ALL.into_iter();
     checks.extend(measures.filter_map(|measure| movement(measure, motion, training)));
-    Some(checks)
+    checks
 }
 
 /// The check of a measure against its 1st and 99th percentile in training motion; `None` for
 /// unchecked measures.
 fn movement(measure: MotionMeasure, motion: &Phrase, training: &Statistics) -> Option<Check> {
-    let &[low, high] = training.movement.get(measure.name())?;
-    // Parts of a phrase vary more in movement than the whole phrase.
+    let &movement = training.movement.get(measure.name())?;
+    // A part of a phrase may be less or more lively than the phrase.
     let length = training.frames as f64 / training.items.max(1) as f64;
     let shorter = (length / motion.frames() as f64).max(1.0);
-    let threshold = match measure.bounds() {
-        Bounds::Both(factor) => {
-            let factor = factor * shorter;
-            Threshold::Within([low / factor, high * factor])
-        }
-        Bounds::Upper(factor) => Threshold::AtMost(high * factor),
-        Bounds::UpperBeyond { factor, harmless } => {
-            let most = (high + UPSIDE_DOWN) / 2.0;
-            Threshold::AtMost((high * factor).max(harmless).min(most))
-        }
-        Bounds::Unchecked => return None,
-    };
+    let threshold = measure.bounds().threshold(movement, shorter)?;
     let value = measure.of(motion)?;
     let message = format!("{} {value:.3} {}", measure.title(), measure.unit());
     Some(Check::new(measure.name(), value, threshold, message))

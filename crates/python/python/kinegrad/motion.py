@@ -61,7 +61,7 @@ def write_bvh(path: PathArgument, positions: ArrayLike, units_per_metre: float =
 
 def check(
     motion: ArrayLike | PathArgument,
-    profile: Literal["ccmotion", "strict"] = "ccmotion",
+    profile: Literal["ccmotion", "strict"] = "strict",
     run: PathArgument | None = None,
 ) -> dict[str, Any]:
     """Checks motion for physical sanity, as `kinegrad check` does.
@@ -69,8 +69,9 @@ def check(
     Args:
         motion: A phrase `[T, 25]`, joint features `[T, 263]` or `[T, 251]`, joint positions
             `[T, J, 3]` in metres, or the path of a `.npy` file of one.
-        profile: `"ccmotion"` checks the channels of phrases; `"strict"` checks the movement of
-            positions and rotations, with bounds from training motion.
+        profile: `"strict"` checks the movement of positions and rotations, with bounds from the
+            training motion of `run`, or from captured people; `"ccmotion"` checks the channels of
+            phrases.
         run: Run or checkpoint whose training statistics `"strict"` uses.
 
     Returns:
@@ -78,7 +79,6 @@ def check(
 
     Raises:
         UsageError: For an array of an unknown representation.
-        DataError: If `"strict"` has no statistics.
     """
     if isinstance(motion, (str, Path)):
         motion = np.load(motion)

@@ -226,7 +226,7 @@ impl<'a> Phrases<'a> {
             for (offset, sample) in samples.into_iter().enumerate() {
                 let job = first + offset;
                 let name = &self.tasks[job].name;
-                rows.push(checked(name, &sample.motion, generator.statistics())?);
+                rows.push(checked(name, &sample.motion, generator.statistics()));
                 let record = self.record(run, job, 0);
                 run.pass(job, 0, generated(sample), record)?;
             }
@@ -323,26 +323,18 @@ fn generated(sample: Sample) -> Generated {
     }
 }
 
-/// A line with the results of both profiles.
-fn checked(name: &str, motion: &Phrase, statistics: &Statistics) -> Result<Vec<String>, Error> {
-    let ccmotion = Some(check(motion, Profile::Ccmotion, None)?);
-    // Statistics without movement measures are insufficient.
-    let strict = check(motion, Profile::Strict, Some(statistics)).ok();
-    let reports = ccmotion.iter().chain(&strict);
-    let checks = reports.flat_map(|report| &report.checks);
-    let mut failed: Vec<&str> = checks
-        .filter(|check| !check.passed)
-        .map(|check| check.name)
-        .collect();
+/// A line of both profiles' verdicts.
+fn checked(name: &str, motion: &Phrase, statistics: &Statistics) -> Vec<String> {
+    let reports = [Profile::Ccmotion, Profile::Strict]
+        .map(|profile| check(motion, profile, Some(statistics)));
+    let checks = reports.iter().flat_map(|report| &report.checks);
+    let failed = checks.filter(|check| !check.passed);
+    let mut failed: Vec<&str> = failed.map(|check| check.name).collect();
     failed.dedup();
-    let verdict = |report: &Option<Report>| match report {
-        Some(report) if report.passed => "ok",
-        Some(_) => "FAIL",
-        None => "-",
-    };
+    let verdict = |report: &Report| if report.passed { "ok" } else { "FAIL" };
+    let [ccmotion, strict] = reports.each_ref().map(verdict);
     let failed = failed.join(", ");
-    let row = [name, verdict(&ccmotion), verdict(&strict), &failed];
-    Ok(row.map(String::from).to_vec())
+    [name, ccmotion, strict, &failed].map(String::from).to_vec()
 }
 
 /// The condition of a phrase of a dataset.

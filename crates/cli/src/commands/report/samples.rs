@@ -23,8 +23,8 @@ struct Sample {
     seconds: f64,
     /// `None` if a position is not finite.
     scene: Option<Scene>,
-    ccmotion: Option<Report>,
-    strict: Option<Report>,
+    ccmotion: Report,
+    strict: Report,
 }
 
 /// The samples in the run's folder.
@@ -59,16 +59,11 @@ fn read(systems: Systems<'_>, run: &Run, path: &Path) -> Result<Sample, Error> {
     let name = file_stem(path);
     let figure = scene::of(representation, &array.values, name.clone());
     let statistics = statistics(run, representation);
-    // Statistics that came with a dataset may be insufficient for the strict profile.
-    let check = |profile| {
-        representation
-            .check(&array.values, profile, statistics)
-            .ok()
-    };
+    let check = |profile| representation.check(&array.values, profile, statistics);
     Ok(Sample {
         seconds: array.frames as f64 / representation.fps(),
         ccmotion: check(Profile::Ccmotion),
-        strict: statistics.and_then(|_| check(Profile::Strict)),
+        strict: check(Profile::Strict),
         scene: figure.map(|figure| Scene {
             title: name.clone(),
             objects: vec![figure],
@@ -87,10 +82,9 @@ fn statistics<'a>(run: &'a Run, representation: &dyn Representation) -> Option<&
 /// One row per sample: results of both profiles, and failed checks.
 fn table(samples: &[Sample]) -> Table {
     let header = ["sample", "length", "ccmotion", "strict", "fails"];
-    let verdict = |report: &Option<Report>| match report {
-        None => Cell::from("-"),
-        Some(report) if report.passed => Cell::new("ok", Tone::Good),
-        Some(_) => Cell::new("fail", Tone::Bad),
+    let verdict = |report: &Report| match report.passed {
+        true => Cell::new("ok", Tone::Good),
+        false => Cell::new("fail", Tone::Bad),
     };
     let row = |sample: &Sample| {
         vec![
@@ -107,10 +101,9 @@ fn table(samples: &[Sample]) -> Table {
     }
 }
 
-/// The failed checks without duplicates, each with the value of the last profile.
-fn failing(reports: [&Option<Report>; 2]) -> String {
-    let reports = reports.into_iter().flatten();
-    let checks = reports.flat_map(|report| &report.checks);
+/// The failed checks, each once, with the value of the last profile.
+fn failing(reports: [&Report; 2]) -> String {
+    let checks = reports.into_iter().flat_map(|report| &report.checks);
     let mut failing: Vec<(&str, String)> = Vec::new();
     for check in checks.filter(|check| !check.passed) {
         let (value, threshold) = (&check.value, &check.threshold);

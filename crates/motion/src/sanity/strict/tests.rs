@@ -1,6 +1,7 @@
 //! Motions that pass the strict checks, and motions that fail named checks.
 
 use super::*;
+use crate::Profile;
 use crate::phrase::{ACCELERATION, ANGULAR_VELOCITY, PHASE, POSITION, VELOCITY};
 use crate::random_phrase::random_phrase;
 use crate::{Quaternion, derive};
@@ -14,7 +15,7 @@ fn training() -> Statistics {
 fn failing(change: impl Fn(&mut Phrase)) -> Vec<&'static str> {
     let mut motion = random_phrase(7, 60);
     change(&mut motion);
-    let report = check(&motion, &training()).unwrap();
+    let report = check(&motion, &training());
     report
         .checks
         .iter()
@@ -37,7 +38,7 @@ fn add_everywhere(motion: &mut Phrase, channels: std::ops::Range<usize>, offset:
 #[test]
 fn coherent_phrases_pass() {
     for seed in 0..20 {
-        let report = check(&random_phrase(seed, 60), &training()).unwrap();
+        let report = check(&random_phrase(seed, 60), &training());
         assert!(report.passed, "{report:#?}");
         // Two of the measures depend on the length.
         assert_eq!(report.checks.len(), 9 + MotionMeasure::ALL.len() - 2);
@@ -110,7 +111,7 @@ fn with_poses(
 }
 
 fn failed(motion: &Phrase) -> Vec<&'static str> {
-    let report = check(motion, &training()).unwrap();
+    let report = check(motion, &training());
     let failed = report.checks.iter().filter(|check| !check.passed);
     failed.map(|check| check.name).collect()
 }
@@ -172,7 +173,7 @@ fn a_body_that_falls_over_fails_and_a_slight_lean_never_does() {
         let lean = Quaternion::from_rotation_vector([tilt.to_radians(), 0.0, 0.0]);
         let leaning =
             with_poses(|t, p, _, phase| (p, Quaternion::from_yaw(0.05 * t as f64) * lean, phase));
-        let report = check(&leaning, &training).unwrap();
+        let report = check(&leaning, &training);
         !report.check("largest_tilt").unwrap().passed
     };
     assert!(failing(75.0, 37.0) && !failing(73.0, 37.0));
@@ -187,7 +188,7 @@ fn no_part_of_a_long_motion_makes_up_for_another() {
     let training = training();
     let long = random_phrase(7, 600);
     let failed = |motion: &Phrase| {
-        let report = check(motion, &training).unwrap();
+        let report = check(motion, &training);
         report
             .checks
             .into_iter()
@@ -213,7 +214,6 @@ fn no_part_of_a_long_motion_makes_up_for_another() {
     // The mean over the whole phrase is within the bounds.
     assert!(
         means(&motion, &training)
-            .unwrap()
             .iter()
             .all(|check| check.passed || check.name != "path_speed")
     );
@@ -249,10 +249,22 @@ fn channels_that_lie_about_the_movement_fail() {
 }
 
 #[test]
-fn statistics_without_movement_are_refused() {
+fn without_measures_of_movement_the_bounds_are_those_of_dancers() {
     let old = Statistics {
         movement: Default::default(),
         ..training()
     };
-    assert!(check(&random_phrase(7, 60), &old).is_none());
+    let check =
+        |statistics| super::super::check(&random_phrase(7, 60), Profile::Strict, statistics);
+    let of_people = check(None);
+    assert!(of_people.check("path_speed").is_some());
+    assert_eq!(check(Some(&old)), of_people);
+}
+
+#[test]
+fn a_root_at_a_wrong_height_fails() {
+    let fails = |offset| failing(|m| add_everywhere(m, POSITION, [0.0, offset, 0.0]));
+    assert_eq!(fails(-1.5), ["height", "lowest_height"]);
+    assert_eq!(fails(1.0), ["height", "highest_height"]);
+    assert!(fails(0.02).is_empty());
 }
