@@ -33,6 +33,24 @@ impl Obstacle {
         self.distance_and_gradient(point).0
     }
 
+    /// Smallest signed distance of the points of the segment from `a` to `b`, metres: exact outside; of
+    /// a segment that crosses the obstacle, the depth of one of its points inside.
+    pub fn swept_distance(&self, a: [f64; 2], b: [f64; 2]) -> f64 {
+        let shares = match self {
+            &Self::Disc { x, z, .. } => vec![0.0, polygon::share_nearest([x, z], a, b), 1.0],
+            Self::Polygon { vertices } => polygon::nearest_shares(vertices, a, b),
+        };
+        let at = |share: f64| [0, 1].map(|axis| a[axis] + share * (b[axis] - a[axis]));
+        let distances = shares
+            .into_iter()
+            .map(|share| self.signed_distance(at(share)));
+        // NaN is not hidden: it is the smallest.
+        distances.fold(f64::INFINITY, |least, distance| match distance < least {
+            false if !distance.is_nan() => least,
+            _ => distance,
+        })
+    }
+
     /// The [signed distance](Self::signed_distance) and its gradient, a unit vector. The first of
     /// several nearest edges counts. The gradient on an edge is the outward normal, and at a disc's
     /// center +x.
@@ -150,6 +168,30 @@ mod tests {
             }
             disc => disc,
         }
+    }
+
+    #[test]
+    fn a_segment_is_measured_between_its_ends() {
+        let near = |found: f64, expected: f64| assert!((found - expected).abs() < 1e-12, "{found}");
+        // Over the disc, along a chord, past it, ending before it, and standing still.
+        near(disc().swept_distance([-9.0, -2.0], [9.0, -2.0]), -0.5);
+        near(disc().swept_distance([-9.0, -1.7], [9.0, -1.7]), -0.2);
+        near(disc().swept_distance([-9.0, 0.0], [9.0, 0.0]), 1.5);
+        near(disc().swept_distance([-9.0, -2.0], [0.0, -2.0]), 0.5);
+        near(disc().swept_distance([1.0, 0.0], [1.0, 0.0]), 1.5);
+        for obstacle in [notched(), reversed(notched())] {
+            let swept = |a, b| obstacle.swept_distance(a, b);
+            // Over it, over both of its points beside the notch, and into the notch alone.
+            assert!(swept([-3.0, -0.5], [3.0, -0.5]) <= -0.5);
+            assert!(swept([-3.0, 0.8], [3.0, 0.8]) < 0.0);
+            assert!(swept([-0.1, 0.8], [0.1, 0.8]) > 0.0);
+            near(swept([-3.0, 2.0], [3.0, 2.0]), 1.0);
+            // Nearest to a corner in the middle of the segment.
+            near(swept([0.0, 3.0], [3.0, 0.0]), 0.5f64.sqrt());
+            // Along an edge.
+            near(swept([-3.0, -1.0], [3.0, -1.0]), 0.0);
+        }
+        assert!(disc().swept_distance([f64::NAN, 0.0], [1.0, 1.0]).is_nan());
     }
 
     #[test]

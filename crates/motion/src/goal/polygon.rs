@@ -44,6 +44,35 @@ pub(super) fn distance_and_gradient(vertices: &[[f64; 2]], point: [f64; 2]) -> (
     (sign * distance, gradient)
 }
 
+/// Shares of the segment from `a` to `b`, 0 to 1, among which is that of its point with the smallest
+/// signed distance if it stays outside, and one inside if it crosses the polygon.
+pub(super) fn nearest_shares(vertices: &[[f64; 2]], a: [f64; 2], b: [f64; 2]) -> Vec<f64> {
+    let along = minus(b, a);
+    // Where it crosses edges, and between.
+    let crossing = |(from, to): ([f64; 2], [f64; 2])| {
+        let edge = minus(to, from);
+        let share = cross(minus(from, a), edge) / cross(along, edge);
+        (intersect((a, b), (from, to)) && share.is_finite()).then_some(share)
+    };
+    let mut crossings: Vec<f64> = edges(vertices).filter_map(crossing).collect();
+    crossings.extend([0.0, 1.0]);
+    crossings.sort_by(f64::total_cmp);
+    let between = crossings.windows(2).map(|pair| (pair[0] + pair[1]) / 2.0);
+    // Of two segments that do not cross, the nearest points include an end of one.
+    let corners = vertices.iter().map(|&corner| share_nearest(corner, a, b));
+    corners.chain(between).chain([0.0, 1.0]).collect()
+}
+
+/// The share of the segment from `a` to `b` that is nearest to a point.
+pub(super) fn share_nearest(point: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
+    let along = minus(b, a);
+    let share = dot(minus(point, a), along) / dot(along, along);
+    match share.is_nan() {
+        true => 0.0,
+        false => share.clamp(0.0, 1.0),
+    }
+}
+
 /// Rejects polygons with fewer than three corners, and edges that touch between corners.
 pub(super) fn check(vertices: &[[f64; 2]]) -> Result<(), InvalidSetting> {
     let edges: Vec<_> = edges(vertices).collect();

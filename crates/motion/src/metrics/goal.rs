@@ -5,8 +5,8 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    FeatureMoments, feature_diversity, frechet_distance, mean, mean_jerk, skating_ratio,
-    sliding_ratio,
+    Clearance, FeatureMoments, clearance, fastest_step, feature_diversity, frechet_distance, mean,
+    mean_jerk, skating_ratio, sliding_ratio,
 };
 use crate::goal::Goal;
 use crate::humanml::Joints;
@@ -27,15 +27,6 @@ pub fn keyframe_distances(goal: &Goal, ground: &[[f64; 2]]) -> Vec<f64> {
     let distance =
         |(frame, [x, z]): (usize, [f64; 2])| (ground[frame][0] - x).hypot(ground[frame][1] - z);
     goal.points().masked().map(distance).collect()
-}
-
-/// Number of the goal's frames in which the root is inside an obstacle, without the margin.
-pub fn inside_obstacles(goal: &Goal, ground: &[[f64; 2]]) -> usize {
-    let inside = |position: &&[f64; 2]| {
-        let mut obstacles = goal.obstacles.iter();
-        obstacles.any(|obstacle| obstacle.signed_distance(**position) < 0.0)
-    };
-    ground[..goal.frames].iter().filter(inside).count()
 }
 
 /// Goal errors of generated motions, and their quality. A metric without data or with values that
@@ -64,8 +55,15 @@ pub struct GoalReport {
     pub foot_sliding: Option<f64>,
     /// Mean over motions of [`mean_jerk`], metres per second cubed.
     pub jerk: Option<f64>,
-    /// Share of the frames, in motions with obstacles, with the root inside an obstacle.
+    /// Share of the frames of all motions with obstacles in which the root is inside one, or reached
+    /// by a step across one.
     pub inside_obstacles: Option<f64>,
+    /// Smallest distance of a root from an obstacle, in and between frames, metres.
+    #[serde(default)]
+    pub clearance: Option<f64>,
+    /// Speed of the fastest step of a root on the ground, of all motions, m/s.
+    #[serde(default)]
+    pub fastest_step: Option<f64>,
     /// [`feature_diversity`], from [`with_features`](Self::with_features).
     pub diversity: Option<f64>,
     /// [`frechet_distance`] from real motion, from [`with_features`](Self::with_features).
@@ -89,12 +87,16 @@ impl GoalReport {
             share(missed.count(), all.len()).filter(|_| finite)
         };
         let bodies = || samples.iter().filter_map(|sample| sample.joints);
-        let among_obstacles = || samples.iter().filter(|s| !s.goal.obstacles.is_empty());
-        let ground =
-            |sample: &GoalSample| sample.ground[..sample.goal.frames].as_flattened().to_vec();
-        let known = among_obstacles().flat_map(ground).all(f64::is_finite);
-        let inside = among_obstacles().map(|s| inside_obstacles(s.goal, s.ground));
-        let frames = among_obstacles().map(|s| s.goal.frames);
+        let paths = || samples.iter().map(|s| (s.goal, &s.ground[..s.goal.frames]));
+        let clearances = paths().filter_map(|(goal, path)| {
+            let found = clearance(path, &goal.obstacles)?;
+            Some((found, path.len()))
+        });
+        let clearances: Vec<(Clearance, usize)> = clearances.collect();
+        let inside = clearances.iter().map(|(found, _)| found.frames_inside);
+        let frames = clearances.iter().map(|(_, frames)| frames);
+        let nearest = most(clearances.iter().map(|(found, _)| -found.metres)).map(|most| -most);
+        let steps = paths().filter_map(|(_, path)| fastest_step(path, fps));
         Self {
             samples: samples.len(),
             keyframes: all.len(),
@@ -106,7 +108,9 @@ impl GoalReport {
             foot_skating: mean(bodies().map(|joints| skating_ratio(joints, fps, feet))),
             foot_sliding: mean(bodies().map(|joints| sliding_ratio(joints, fps, feet))),
             jerk: mean(bodies().map(|joints| mean_jerk(joints, fps))),
-            inside_obstacles: share(inside.sum(), frames.sum()).filter(|_| known),
+            inside_obstacles: share(inside.sum(), frames.sum()).filter(|_| nearest.is_some()),
+            clearance: nearest,
+            fastest_step: most(steps.map(|step| step.speed)),
             ..Self::default()
         }
     }
@@ -128,7 +132,7 @@ impl GoalReport {
     }
 
     /// The metrics in print order, with name and unit.
-    pub fn rows(&self) -> [(&'static str, Option<f64>, &'static str); 11] {
+    pub fn rows(&self) -> [(&'static str, Option<f64>, &'static str); 13] {
         [
             ("trajectory error, 20 cm", self.trajectory_error_20cm, ""),
             ("trajectory error, 50 cm", self.trajectory_error_50cm, ""),
@@ -139,6 +143,8 @@ impl GoalReport {
             ("foot sliding", self.foot_sliding, ""),
             ("mean jerk", self.jerk, " m/s^3"),
             ("inside obstacles", self.inside_obstacles, ""),
+            ("clearance", self.clearance, " m"),
+            ("fastest root step", self.fastest_step, " m/s"),
             ("diversity", self.diversity, ""),
             ("Fréchet distance", self.frechet_distance, ""),
         ]
@@ -156,6 +162,12 @@ impl fmt::Display for GoalReport {
         }
         Ok(())
     }
+}
+
+/// The largest value; `None` of nothing, and if one is not finite.
+fn most(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let largest = values.map(|value| if value.is_nan() { f64::INFINITY } else { value });
+    largest.reduce(f64::max).filter(|value| value.is_finite())
 }
 
 fn share(part: usize, whole: usize) -> Option<f64> {
@@ -213,11 +225,12 @@ mod tests {
         goal.obstacles = vec![disc(0.0, 1.0), disc(0.5, 1.0)];
         goal.margin = 3.0;
         let ground = [[0.2, 0.0], [1.4, 0.0], [1.5, 0.0], [9.0, 0.0], [0.0, 0.0]];
-        assert_eq!(inside_obstacles(&goal, &ground), 2);
         let free = Goal::new(4);
         let samples = [sample(&goal, &ground), sample(&free, &ground)];
         let report = GoalReport::compute(&samples, 2.0, &[]);
         assert_eq!(report.inside_obstacles, Some(0.5));
+        assert_eq!(report.clearance, Some(-0.8));
+        assert_eq!(report.fastest_step, Some(15.0));
         assert_eq!(report.location_error_20cm, None);
         let broken = [[f64::NAN, 0.0]; 4];
         let report = GoalReport::compute(&[sample(&goal, &broken)], 2.0, &[]);

@@ -9,6 +9,7 @@ mod bootstrap;
 mod diversity;
 mod frechet;
 mod goal;
+mod ground;
 mod joints;
 mod phase;
 pub mod text_motion;
@@ -19,7 +20,8 @@ pub use beats::{BEAT_SIGMA, beat_alignment, chance_alignment, kinematic_beats, s
 pub use bootstrap::Estimate;
 pub use diversity::{diversity, feature_diversity, trajectory_distance};
 pub use frechet::{FeatureMoments, frechet_distance, trajectory_features};
-pub use goal::{GoalReport, GoalSample, inside_obstacles, keyframe_distances};
+pub use goal::{GoalReport, GoalSample, keyframe_distances};
+pub use ground::{Clearance, PathStep, clearance, fastest_step, step_speeds};
 pub use joints::{
     SKATING_HEIGHT, SKATING_SPEED, SkatingStep, mean_jerk, skating_ratio, skating_steps,
     sliding_ratio,

@@ -240,9 +240,23 @@ fn must_suit_first_stage(own: &GmdConfig, sampling: &SamplingConfig) -> Result<(
 }
 
 pub(super) fn warnings(config: &Config) -> Option<String> {
+    let own: &GmdConfig = config.own();
+    let frames = config.data.target_frames;
+    let edge = "clips of `data.target_frames` end at the edge of the network, where it is less accurate: set \
+                `model.padded_frames` to an eighth more";
+    let at_edge = own
+        .model
+        .network
+        .longest()
+        .is_some_and(|most| most == frames);
     let overtrains = config.train.recipe == RecipeName::Trajectory.name()
         && (config.train.patience == 0 || config.validation.every_steps == 0);
     let warning = "an overfitted trajectory model responds poorly to guidance, and this run \
                    never stops early: set `train.patience` and `validation.every_steps`";
-    overtrains.then(|| warning.to_string())
+    let warnings = [(at_edge, edge), (overtrains, warning)].into_iter();
+    let warnings: Vec<&str> = warnings
+        .filter(|(holds, _)| *holds)
+        .map(|(_, text)| text)
+        .collect();
+    (!warnings.is_empty()).then(|| warnings.join("; "))
 }

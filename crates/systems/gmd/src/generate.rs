@@ -4,6 +4,7 @@
 //! path for the goal; the motion model generates motion along the ground path, with imputation and
 //! guidance in every frame. Rotation and height are not constrained.
 
+mod attempts;
 mod once;
 
 use std::iter::repeat;
@@ -26,6 +27,8 @@ use kinegrad_train::config::{Config, SamplingConfig};
 use kinegrad_train::evaluation::OnStep;
 use kinegrad_train::{Error, TrainedModel};
 use serde::{Deserialize, Serialize};
+
+pub(super) use attempts::GroundBounds;
 
 use super::GmdConfig;
 use super::load::{TrainedClips, channels_of, text_input};
@@ -69,6 +72,8 @@ pub struct GeneratedClip {
     pub ground: Vec<[f64; 2]>,
     /// The ground path of the first stage.
     pub path: Option<Vec<[f64; 2]>>,
+    /// Number of samples before it whose root paths were out of bounds.
+    pub rejected: usize,
 }
 
 impl GeneratedClip {
@@ -87,6 +92,7 @@ impl GeneratedClip {
             ground: positions.map(|[x, _, z]| [x, z]).collect(),
             features: Some(features),
             path: None,
+            rejected: 0,
         }
     }
 }
@@ -161,17 +167,8 @@ impl ClipGenerator {
         &self.config().own::<GmdConfig>().steering
     }
 
-    /// Generates the clips of `requests` as one batch. The model `trajectory`, if given, first
-    /// generates ground paths. A clip depends on its key, its request and the sampled number of
-    /// frames. A clip with a goal also depends on its batch's number of keyframes, the divisor of
-    /// the published guidance. `on_step` gets the stage, `trajectory` or `motion`.
-    ///
-    /// Samples have at least the training length and are cut to the requested length: shorter noise
-    /// would give the network more padding than in training (docs/sources.md, section 4.13).
-    ///
-    /// # Errors
-    /// For a goal, setting or text that one of the models does not support.
-    pub fn sample(
+    /// [`sample`](Self::sample) in one attempt.
+    fn sample_once(
         &self,
         trajectory: Option<&Self>,
         requests: &[ClipRequest],
@@ -243,6 +240,7 @@ impl ClipGenerator {
                     features: None,
                     ground,
                     path: None,
+                    rejected: 0,
                 };
                 self.paths(x).into_iter().map(of_path).collect()
             }

@@ -17,6 +17,7 @@ pub mod recipes;
 mod sample;
 mod stage;
 mod steering;
+mod summary;
 mod train;
 
 use kinegrad_motion::humanml::{Root, Skeleton};

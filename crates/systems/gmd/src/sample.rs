@@ -4,21 +4,23 @@ use std::iter::repeat_n;
 
 use kinegrad_motion::goal::{Goal, Trajectory};
 use kinegrad_motion::humanml::Skeleton;
-use kinegrad_motion::metrics::{GoalReport, GoalSample};
 use kinegrad_train::checkpoint::SavedCheckpoint;
 use kinegrad_train::clips::captions::{ClipText, must_know_texts, text_of};
 use kinegrad_train::clips::path_target::{Fastest, FollowedPath};
 use kinegrad_train::clips::read_goal;
 use kinegrad_train::clips::requested;
 use kinegrad_train::sampling::{
-    BatchRecord, Condition, Generated, GoalCondition, GoalRecord, Job, Needs, Record, Request, Run,
-    SampleSink, Sampler, Summary,
+    BatchRecord, Condition, Generated, GoalCondition, GoalRecord, GroundRecord, Job, Needs, Record,
+    Request, Run, SampleSink, Sampler, Summary,
 };
 use kinegrad_train::{Error, System, TrainedModel};
 
-use super::generate::{ClipGenerator, ClipRequest, GeneratedClip, keys, sampled_frames};
+use super::generate::{
+    ClipGenerator, ClipRequest, GeneratedClip, GroundBounds, keys, sampled_frames,
+};
 use super::load::{footprint, text_input};
 use super::recipe_name::RecipeName;
+use super::summary::{report, speeds};
 use super::{Gmd, GmdConfig};
 
 pub(super) fn accepts(recipe: &str) -> &'static [&'static str] {
@@ -119,6 +121,8 @@ impl<'a> Clips<'a> {
     fn resolve(&mut self, sink: &mut dyn SampleSink) -> Result<(), Error> {
         let (trained, request) = (self.trained, self.request);
         let config = trained.config();
+        let steering = &config.own::<GmdConfig>().steering;
+        let usual = steering.usual_frames(config.data.target_frames);
         let skeleton = config.data.humanml3d.skeleton.skeleton();
         let fps = skeleton.description().fps;
         // Each goal has its file, for warnings.
@@ -138,7 +142,7 @@ impl<'a> Clips<'a> {
             goals.push((file.clone(), goal, Condition::Goal(condition)));
         }
         if let Some(file) = request.path() {
-            let frames = request.frames.unwrap_or(config.data.target_frames);
+            let frames = request.frames.unwrap_or(usual);
             let path = FollowedPath::read(file, frames, fps)?;
             let goal = along(&path);
             goals.push((file.file.clone(), goal, Condition::Path(file.clone())));
@@ -184,7 +188,7 @@ impl<'a> Clips<'a> {
         }
         let stage = request.trajectory().cloned().map(Condition::Trajectory);
         let shared: Vec<Condition> = request.text_conditions().chain(stage).collect();
-        let frames = request.frames.unwrap_or(config.data.target_frames);
+        let frames = request.frames.unwrap_or(usual);
         let goals = goals.into_iter();
         let mut goals: Vec<_> = goals
             .map(|(_, goal, condition)| (Some(goal), Some(condition)))
@@ -305,10 +309,32 @@ impl Sampler for Clips<'_> {
             &mut |stage, done, all| run.sink.advance(stage, done, all),
         )?;
         let skeleton = self.trained.config().data.humanml3d.skeleton.skeleton();
-        let summary = report(&samples, &requests, &skeleton).map(Summary::Text);
-        for (number, sample) in samples.into_iter().enumerate() {
+        let bounds = GroundBounds::of(self.trained);
+        let grounds = samples.iter().zip(&requests);
+        let grounds =
+            grounds.map(|(sample, request)| bounds.measured(sample, request.goal.as_ref()));
+        let grounds: Vec<GroundRecord> = grounds.collect();
+        let goals = report(&samples, &requests, &skeleton);
+        let summary = goals.map(|goals| Summary::Text(format!("{goals}{}", speeds(&grounds))));
+        for (number, (sample, ground)) in samples.into_iter().zip(grounds).enumerate() {
             let (job, index) = (number / count, number % count);
-            let record = self.record(run, job, index);
+            let name = match run.name(job, index) {
+                name if name.is_empty() => "the sample".to_string(),
+                name => format!("sample {}", name.trim_start_matches('-')),
+            };
+            if ground.rejected > 0 {
+                run.sink.note(&format!(
+                    "{name} is attempt {} (at most {}, `steering.attempts`): the root's path was out \
+                     of bounds before",
+                    ground.rejected + 1,
+                    self.trained.config().own::<GmdConfig>().steering.attempts,
+                ));
+            }
+            if let Some(warning) = ground.warning(&name) {
+                run.sink.warning(&warning);
+            }
+            let mut record = self.record(run, job, index);
+            record.ground = Some(ground);
             let (clip, record) = self.finished(sample, record, &skeleton)?;
             run.pass(job, index, clip, record)?;
         }
@@ -343,25 +369,4 @@ pub(super) fn trajectory_model(
         message,
         "give a run of recipe `gmd_trajectory`",
     ))
-}
-
-/// Distances of the clips from their goals.
-fn report(
-    samples: &[GeneratedClip],
-    requests: &[ClipRequest],
-    skeleton: &Skeleton,
-) -> Option<String> {
-    let measured = samples
-        .iter()
-        .zip(requests)
-        .filter_map(|(sample, request)| {
-            Some(GoalSample {
-                goal: request.goal.as_ref()?,
-                ground: &sample.ground,
-                joints: None,
-            })
-        });
-    let measured: Vec<GoalSample> = measured.collect();
-    let (fps, feet) = (skeleton.description().fps, skeleton.contact_joints());
-    (!measured.is_empty()).then(|| GoalReport::compute(&measured, fps, &feet).to_string())
 }

@@ -146,7 +146,7 @@ impl<'a> StageSteering<'a> {
             guidance: guided.then_some(Guidance {
                 objective: &self.objective,
                 scale: self.scale,
-                max_shift: self.config.max_shift,
+                max_shift: Some(self.config.max_shift),
             }),
             imputation: known.cloned().map(|[target, mask]| Imputation {
                 space: self.objective.space,

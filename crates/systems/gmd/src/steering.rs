@@ -31,9 +31,13 @@ pub struct SteeringConfig {
     /// Strength s of the classifier guidance, 100 to 200 in the paper; 0 disables guidance.
     pub scale: f64,
     /// Largest shift of a frame by guidance in one step, over all channels of the network's space,
-    /// in standard deviations of the step's noise. Omitted: no limit; with few steps and a large
-    /// scale, some motions then diverge. Not in the paper.
-    pub max_shift: Option<f64>,
+    /// in standard deviations of the step's noise: without a limit, small models diverge. Not in the
+    /// paper; a large number such as 1e6 is no limit.
+    pub max_shift: f64,
+    /// Maximum number of samples of a clip with a goal. A sample is replaced by one of other noise if
+    /// its root moves faster than 1.5 times the fastest training step, is inside an obstacle, or
+    /// starts more than 0.5 m from the origin; the best is kept. 1 in the paper.
+    pub attempts: usize,
     /// Impute known positions.
     pub imputation: bool,
     /// Guide the second stage along the first stage's path, in addition to imputation. The
@@ -55,7 +59,8 @@ impl Default for SteeringConfig {
         Self {
             padding: Padding::default(),
             scale: 100.0,
-            max_shift: None,
+            max_shift: 1.0,
+            attempts: 4,
             imputation: true,
             second_stage_guidance: true,
             first_stage_steps: None,
@@ -77,6 +82,16 @@ impl SteeringConfig {
         first
     }
 
+    /// Frames of a clip of which no length is asked for, of a model of `target_frames`: all, or a
+    /// tenth less if padding is sampled, because the last frames of the sampled length are less
+    /// accurate.
+    pub(super) fn usual_frames(&self, target_frames: usize) -> usize {
+        match self.padding {
+            Padding::Zeros => target_frames,
+            Padding::Sampled => target_frames - target_frames / 10,
+        }
+    }
+
     /// The padding and the other settings, for a record.
     pub(super) fn record(&self) -> (Value, Value) {
         let mut rest = to_value(self).expect(PLAIN);
@@ -88,8 +103,9 @@ impl SteeringConfig {
     /// Names the first key with a bad value.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         in_range("scale", self.scale, 0.0..)?;
-        in_range("max_shift", self.max_shift.unwrap_or(1.0), ABOVE_ZERO)
-            .hint("standard deviations of a step's noise; leave it out for no limit")?;
+        in_range("max_shift", self.max_shift, ABOVE_ZERO)
+            .hint("standard deviations of a step's noise; 1e6 is no limit")?;
+        in_range("attempts", self.attempts, 1..=100)?;
         self.guidance.validate().within("guidance")?;
         self.schedule.validate().within("schedule")
     }

@@ -223,6 +223,12 @@ pub enum Fastest {
 }
 
 impl Fastest {
+    /// The speed, m/s.
+    pub fn speed(self) -> f64 {
+        let (Self::Measured(speed) | Self::Estimated(speed)) = self;
+        speed
+    }
+
     /// The speed of the root in features of `skeleton`.
     pub fn of_clips(statistics: &Statistics, skeleton: &Skeleton) -> Self {
         // Displacements of joint 0 in the facing frame, meters per frame.

@@ -6,6 +6,7 @@
 
 mod condition;
 mod generated;
+mod ground;
 mod job;
 mod known_frames;
 mod names;
@@ -19,6 +20,7 @@ pub use condition::{
     Condition, GoalCondition, KnownFramesCondition, OtherCondition, PathFile, TrajectoryCondition,
 };
 pub use generated::Generated;
+pub use ground::GroundRecord;
 pub use job::{Job, Needs, Run, Sampler};
 pub use known_frames::KnownFrames;
 pub use names::Names;

@@ -8,7 +8,7 @@ use kinegrad_motion::postprocess::PostProcessConfig;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::{Condition, condition};
+use super::{Condition, GroundRecord, condition};
 use crate::TrainedModel;
 use crate::checkpoint::Weights;
 use crate::config::ClipSample;
@@ -56,6 +56,9 @@ pub struct Record {
     /// The path that the motion follows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub path: Option<PathRecord>,
+    /// The root's path on the ground, for clips of Guided Motion Diffusion.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ground: Option<GroundRecord>,
     /// The conditions, a map by name; empty for an unconditional sample.
     #[serde(with = "condition::as_map")]
     pub condition: Vec<Condition>,
@@ -187,6 +190,7 @@ impl Record {
             rollout: None,
             composition: None,
             path: None,
+            ground: None,
             condition: Vec::new(),
             batch: None,
         }

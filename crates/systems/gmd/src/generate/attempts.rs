@@ -1,0 +1,98 @@
+//! Sampling clips with goals again whose root path is out of bounds.
+
+use kinegrad_motion::Statistics;
+use kinegrad_motion::goal::Goal;
+use kinegrad_motion::humanml::Skeleton;
+use kinegrad_train::clips::path_target::Fastest;
+use kinegrad_train::config::SamplingConfig;
+use kinegrad_train::evaluation::OnStep;
+use kinegrad_train::sampling::GroundRecord;
+use kinegrad_train::{Error, TrainedModel};
+
+use super::{ClipGenerator, ClipRequest, GeneratedClip, NoiseKey};
+
+/// The training motion that root paths are compared with.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct GroundBounds {
+    fps: f64,
+    /// Metres per second.
+    fastest: f64,
+}
+
+impl GroundBounds {
+    /// That of a trained model.
+    pub fn of(trained: &TrainedModel) -> Self {
+        let skeleton = trained.config().data.humanml3d.skeleton.skeleton();
+        Self::new(&trained.saved.state.statistics, &skeleton)
+    }
+
+    fn new(statistics: &Statistics, skeleton: &Skeleton) -> Self {
+        Self {
+            fps: skeleton.description().fps,
+            fastest: Fastest::of_clips(statistics, skeleton).speed(),
+        }
+    }
+
+    /// The measures of a clip's root path, with the obstacles of its goal.
+    pub fn measured(&self, clip: &GeneratedClip, goal: Option<&Goal>) -> GroundRecord {
+        let obstacles = goal.map_or(&[][..], |goal| &goal.obstacles);
+        GroundRecord {
+            rejected: clip.rejected,
+            ..GroundRecord::of(&clip.ground, obstacles, self.fps, self.fastest)
+        }
+    }
+}
+
+impl ClipGenerator {
+    /// Generates the clips of `requests` as one batch. The model `trajectory`, if given, first
+    /// generates ground paths. A clip depends on its key, its request and the sampled number of
+    /// frames. A clip with a goal also depends on its batch's number of keyframes, the divisor of
+    /// the published guidance. `on_step` gets the stage, `trajectory` or `motion`.
+    ///
+    /// Clips with goals whose root path is out of [bounds](GroundRecord::excess) are sampled again
+    /// from other noise, in batches of their own, at most `steering.attempts` times in all. The
+    /// best is returned.
+    ///
+    /// Samples have at least the training length and are cut to the requested length: shorter noise
+    /// would give the network more padding than in training (docs/sources.md, section 4.13).
+    ///
+    /// # Errors
+    /// For a goal, setting or text that one of the models does not support.
+    pub fn sample(
+        &self,
+        trajectory: Option<&Self>,
+        requests: &[ClipRequest],
+        sampling: &SamplingConfig,
+        keys: &[NoiseKey],
+        on_step: &mut OnStep<'_>,
+    ) -> Result<Vec<GeneratedClip>, Error> {
+        let skeleton = self.config().data.humanml3d.skeleton.skeleton();
+        let bounds = GroundBounds::new(&self.state.statistics, &skeleton);
+        let excess = |index: usize, clip: &GeneratedClip| {
+            let goal = requests[index].goal.as_ref();
+            goal.map_or(0.0, |goal| bounds.measured(clip, Some(goal)).excess())
+        };
+        let mut clips = self.sample_once(trajectory, requests, sampling, keys, on_step)?;
+        for attempt in 1..self.steering().attempts {
+            let bad = |index: &usize| excess(*index, &clips[*index]) > 0.0;
+            let bad: Vec<usize> = (0..clips.len()).filter(bad).collect();
+            if bad.is_empty() {
+                break;
+            }
+            let name = format!("attempt {attempt}");
+            let again: Vec<ClipRequest> = bad.iter().map(|&i| requests[i].clone()).collect();
+            let noise = bad.iter().map(|&i| (keys[i].0.named(&name), keys[i].1));
+            let noise: Vec<NoiseKey> = noise.collect();
+            let found = self.sample_once(trajectory, &again, sampling, &noise, on_step)?;
+            for (index, clip) in bad.into_iter().zip(found) {
+                if excess(index, &clip) < excess(index, &clips[index]) {
+                    clips[index] = GeneratedClip {
+                        rejected: attempt,
+                        ..clip
+                    };
+                }
+            }
+        }
+        Ok(clips)
+    }
+}
