@@ -3,21 +3,44 @@
 use kinegrad_capture::{Bvh, UpAxis};
 use kinegrad_motion::MAX_FRAMES;
 use kinegrad_settings::{Refused, in_range};
+use serde::{Deserialize, Serialize};
 
 use crate::foot_locking::lock_feet;
 use crate::limit_jerk::{self, jerks, percentile_95};
+use crate::metrics::Reference;
 use crate::synthesis::{start_noise, synthesize_from, synthesize_like};
 use crate::{
     Channels, Constraint, Error, Example, Frames, Keyframe, Length, Looping, Made, MatrixOptions,
     MotionMatrix, Part, Request, Seam, Settings, Synthesis, feet,
 };
 
+mod adaptation;
 mod conflicts;
 
+pub use adaptation::Adaptation;
+use adaptation::attempts;
+
 /// Most attempts at a loop with a smooth seam.
-const MAX_LOOPS: u64 = 8;
+const MAX_LOOPS: usize = 8;
 /// A seam is smooth if its jumps are at most this part of the 95th percentile.
 const SMOOTH_SEAM: f64 = 0.95;
+
+/// Range of headings in the examples above which motions are relative to the heading, in degrees.
+const TURNS: f64 = 120.0;
+
+/// Coordinates of the root.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Heading {
+    /// World coordinates, as in the published program.
+    #[default]
+    World,
+    /// Relative to the heading.
+    Relative,
+    /// Relative to the heading if those of the examples range over more than 120 degrees and a joint
+    /// travels over the ground.
+    Auto,
+}
 
 /// Division of the body into parts.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -63,8 +86,11 @@ pub struct Job {
     pub up: UpAxis,
     /// Matches foot contacts as well.
     pub contacts: bool,
-    /// Makes the root relative to its heading.
-    pub heading: bool,
+    /// Coordinates of the root.
+    pub heading: Heading,
+    /// Tries further noise and a higher coherence as long as the motion is beyond the bounds of
+    /// [`Quality`](crate::Quality). Jobs with content or fixed parts are not tried again.
+    pub adapts: bool,
     /// Division of the body.
     pub parts: PartChoice,
     /// Key frames with their source motions; the default source is the first example.
@@ -88,10 +114,10 @@ impl Job {
             Some(first) if self.contacts => feet(first.bvh.joints()),
             _ => Vec::new(),
         };
-        let options = MatrixOptions {
+        let mut options = MatrixOptions {
             up: self.up,
             contacts,
-            heading: self.heading,
+            heading: self.heading == Heading::Relative,
         };
         let sources = self.keyframes.iter();
         let sources = sources.filter_map(|(_, source)| source.as_ref());
@@ -99,7 +125,14 @@ impl Job {
         let conditions: Vec<&Example> = self.fixed.iter().map(|fixed| &fixed.motion).collect();
         let conditions = [conditions, self.content.iter().collect()].concat();
         let others: Vec<&Example> = conditions.iter().copied().chain(sources).collect();
-        let layout = MotionMatrix::with(examples, &others, options)?;
+        let mut layout = MotionMatrix::with(examples, &others, options.clone())?;
+        if self.heading == Heading::Auto && turns_around(&layout, examples)? {
+            options.heading = true;
+            // Not every skeleton has a heading.
+            if let Ok(relative) = MotionMatrix::with(examples, &others, options) {
+                layout = relative;
+            }
+        }
         if self.keyframes.iter().any(|(key, _)| key.place.is_some()) {
             let motions = examples.iter().chain(others);
             layout.must_have_upright_root(motions, "`place` of a key frame")?;
@@ -124,12 +157,12 @@ impl Job {
         let content = content.first();
         let parts = match &self.parts {
             PartChoice::Whole => vec![Part::body(&layout)],
-            PartChoice::Automatic => Part::automatic(&layout),
+            PartChoice::Automatic => Part::supported(&layout),
             PartChoice::File { file, text } => Part::read(text, file, &layout)?,
         };
         let named = match &self.parts {
-            PartChoice::Whole => &Part::automatic(&layout),
-            _ => &parts,
+            PartChoice::File { .. } => &parts,
+            _ => &Part::automatic(&layout),
         };
         let lengths = condition_matrices.iter().map(Frames::frames);
         let lengths: Vec<(&Example, usize)> = conditions.into_iter().zip(lengths).collect();
@@ -151,13 +184,6 @@ impl Job {
         }
         self.must_agree(&layout, &constraints, frames)?;
         let groups: Vec<Channels> = parts.iter().map(|part| part.channels(&layout)).collect();
-        let request = Request {
-            examples: &matrices,
-            frames,
-            settings: &self.settings,
-            groups: &groups,
-            constraints: &constraints,
-        };
         let mut usual = None;
         if !fixed.is_empty() {
             for motion in matrices.iter().chain(fixed) {
@@ -165,19 +191,35 @@ impl Job {
                 usual = Some(f64::max(usual.unwrap_or(0.0), jerk));
             }
         }
+        let originals = matrices.iter().map(|matrix| layout.to_bvh(matrix));
+        let originals: Vec<Bvh> = originals.collect::<Result<_, _>>()?;
+        let reference = Reference::new(&layout, &originals).expect("examples have frames");
         let is_loop = self.settings.looping != Looping::Off;
+        let is_repeatable = content.is_none() && fixed.is_empty();
+        let adapts = self.adapts && is_repeatable;
         // A loop with key frames cannot be rotated: the first attempt with a smooth seam is taken.
-        let attempts = match is_loop && !constraints.is_empty() && content.is_none() {
-            true => MAX_LOOPS,
-            false => 1,
+        let by_seam = is_loop && !constraints.is_empty() && content.is_none();
+        let lengths: Vec<usize> = matrices.iter().map(Frames::frames).collect();
+        let tried = match (adapts, by_seam) {
+            (true, _) => attempts(&self.settings, &lengths, frames),
+            (false, true) => vec![self.settings.clone(); MAX_LOOPS],
+            (false, false) => vec![self.settings.clone()],
         };
-        let first = request.levels()?.synthesis[0];
-        let mut best: Option<(f64, MotionMatrix, Synthesis, Bvh)> = None;
-        for attempt in 0..attempts {
+        let attempts = tried.len();
+        let mut best: Option<(f64, usize, MotionMatrix, Synthesis, Bvh)> = None;
+        for (attempt, settings) in tried.iter().enumerate() {
+            let request = Request {
+                examples: &matrices,
+                frames,
+                settings,
+                groups: &groups,
+                constraints: &constraints,
+            };
             let mut synthesis = match content {
                 Some(content) => synthesize_like(&request, content)?,
                 None => {
-                    let noise = start_noise(self.seed, attempt, first, layout.channels());
+                    let first = request.levels()?.synthesis[0];
+                    let noise = start_noise(self.seed, attempt as u64, first, layout.channels());
                     synthesize_from(&request, &noise)?
                 }
             };
@@ -186,16 +228,19 @@ impl Job {
             }
             let mut layout = layout.clone();
             let bvh = self.finished(&mut layout, &mut synthesis.frames, &constraints, usual)?;
-            let seam = (attempts > 1).then(|| Seam::of(&layout, &bvh)).flatten();
-            let jump = seam.map_or(0.0, |seam| seam.jump());
-            if best.as_ref().is_none_or(|(least, ..)| jump < *least) {
-                best = Some((jump, layout, synthesis, bvh));
+            let seam = by_seam.then(|| Seam::of(&layout, &bvh)).flatten();
+            let mut excess = seam.map_or(0.0, |seam| seam.jump() / SMOOTH_SEAM);
+            if adapts {
+                excess = excess.max(reference.quality(&bvh).excess());
             }
-            if jump <= SMOOTH_SEAM {
+            if best.as_ref().is_none_or(|(least, ..)| excess < *least) {
+                best = Some((excess, attempt, layout, synthesis, bvh));
+            }
+            if excess <= 1.0 {
                 break;
             }
         }
-        let (_, layout, synthesis, mut bvh) = best.expect("one motion or more");
+        let (_, attempt, layout, synthesis, mut bvh) = best.expect("one motion or more");
         let jerk = usual.map(|usual| percentile_95(&jerks(&bvh)) / usual.max(f64::MIN_POSITIVE));
         let mut sliding = None;
         if self.lock_feet {
@@ -203,6 +248,9 @@ impl Job {
             (bvh, sliding) = (locked, Some(slid));
         }
         Ok(Made {
+            settings: tried[attempt].clone(),
+            adaptation: Adaptation::of(attempt, attempts).filter(|_| adapts),
+            quality: reference.quality(&bvh),
             bvh,
             synthesis,
             layout,
@@ -273,6 +321,14 @@ impl Job {
             .hint("a motion has at least one patch, `patch_size`, and at most two hours")?;
         Ok(frames)
     }
+}
+
+/// True if the headings of the examples range over more than 120 degrees.
+fn turns_around(layout: &MotionMatrix, examples: &[Example]) -> Result<bool, Error> {
+    let matrices = examples.iter().map(|example| layout.to_frames(example));
+    let matrices: Vec<Frames> = matrices.collect::<Result<_, _>>()?;
+    let arc = layout.heading_arc(&matrices);
+    Ok(arc.is_some_and(|arc| arc.to_degrees() > TURNS))
 }
 
 #[cfg(test)]

@@ -22,6 +22,7 @@
 //! ```
 
 mod constraint;
+mod continuity;
 mod diagonals;
 mod displacement;
 mod distance;
@@ -49,13 +50,13 @@ pub use constraint::Constraint;
 pub use displacement::{displacements, places};
 pub use error::Error;
 pub use frames::Frames;
-pub use job::{Fixed, Job, PartChoice};
+pub use job::{Adaptation, Fixed, Heading, Job, PartChoice};
 pub use keyframes::Keyframe;
 pub use kinegrad_capture::Axis;
 pub use length::Length;
 pub use limit_jerk::{jerk_around, jerks, percentile_95};
 pub use made::Made;
-pub use metrics::{Measures, Novelty, Run, Seam, Sliding, Stillness};
+pub use metrics::{Measures, Movement, Novelty, Quality, Run, Seam, Sliding};
 pub use motion_matrix::{Example, MatrixOptions, MotionMatrix};
 pub use nearest::{Distance, Matches, Search};
 pub use parts::{Part, feet};

@@ -3,8 +3,8 @@
 use kinegrad_capture::Bvh;
 
 use crate::{
-    Frames, Looping, Measures, MotionMatrix, Novelty, Part, Run, Seam, Sliding, Stillness,
-    Synthesis,
+    Adaptation, Frames, Looping, Measures, MotionMatrix, Novelty, Part, Quality, Run, Seam,
+    Settings, Sliding, Synthesis,
 };
 
 /// A new motion and its sources.
@@ -12,6 +12,12 @@ use crate::{
 pub struct Made {
     /// The motion, with the hierarchy of the first example.
     pub bvh: Bvh,
+    /// The settings that it was made with.
+    pub settings: Settings,
+    /// Replacement of the settings by those that were found to be needed, if any.
+    pub adaptation: Option<Adaptation>,
+    /// Its physical measures beside those of the examples.
+    pub quality: Quality,
     /// Its matrix and origins, before feet are locked.
     pub synthesis: Synthesis,
     /// The layout of the matrices.
@@ -43,12 +49,6 @@ impl Made {
     pub fn runs(&self) -> Vec<Vec<Run>> {
         let origins = self.synthesis.origins.iter();
         origins.map(|origins| Run::all(origins)).collect()
-    }
-
-    /// Still frames of the motion and the examples.
-    pub fn stillness(&self) -> Option<Stillness> {
-        let (motion, examples) = self.rotations(&[]);
-        Stillness::of(&motion, &examples)
     }
 
     /// The seam of a loop; `None` for other motions.

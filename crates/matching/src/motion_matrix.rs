@@ -152,6 +152,11 @@ impl MotionMatrix {
         Ok(layout)
     }
 
+    /// True if motions are relative to the heading.
+    pub fn is_relative(&self) -> bool {
+        self.heading.is_some()
+    }
+
     /// The joints, in file order.
     pub fn joints(&self) -> &[kinegrad_capture::Joint] {
         self.bvh.joints()

@@ -11,6 +11,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use crate::continuity::continued;
 use crate::diagonals::Diagonals;
 use crate::distance::{Moving, Padded, squared};
 use crate::{Frames, Pool};
@@ -51,6 +52,8 @@ pub struct Search<'a> {
     moving: Moving,
     padded: Padded,
     distance: Distance,
+    /// Tolerance of [`continued`]; 0 for the nearest patches.
+    continuity: f64,
     cache_bytes: usize,
     cache: Option<Cache>,
 }
@@ -73,6 +76,7 @@ impl<'a> Search<'a> {
             padded: moving.padded(&pool.frames),
             moving,
             distance,
+            continuity: 0.0,
             cache_bytes: CACHE_BYTES,
             cache: None,
         }
@@ -87,7 +91,14 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The nearest example patch of each patch of `synthesis`, `[frames, channels]`: the j with the
+    /// A search that prefers patches that continue the match before, see
+    /// [`Settings::continuity`](crate::Settings::continuity).
+    #[must_use]
+    pub fn continuing(self, continuity: f64) -> Self {
+        Self { continuity, ..self }
+    }
+
+    /// The nearest example patch of each patch of `current`, `[frames, channels]`: the j with the
     /// smallest D[i, j] / (`alpha` + min over i of D[i, j]), or without `alpha` the smallest D[i,
     /// j]. The result depends neither on the number of threads nor on earlier searches.
     ///
@@ -97,7 +108,8 @@ impl<'a> Search<'a> {
     ///
     /// # Panics
     /// Panics if the channels differ, or either side is shorter than a patch.
-    pub fn nearest(&mut self, synthesis: &Frames, alpha: Option<f64>, bent: &[bool]) -> Matches {
+    pub fn nearest(&mut self, current: &Frames, alpha: Option<f64>, bent: &[bool]) -> Matches {
+        let synthesis = current;
         let p = self.pool.patch_size;
         assert!(synthesis.frames() >= p && self.pool.patches > 0);
         assert!(bent.is_empty() || bent.len() == synthesis.frames());
@@ -155,7 +167,11 @@ impl<'a> Search<'a> {
             scale = smallest.iter().map(|&min| alpha as f32 + min).collect();
         }
         let found = tiles.flat_map_iter(|tile| search.first_smallest(&tile, &scale));
-        let (nearest, distances) = found.collect::<Vec<(usize, f32)>>().into_iter().unzip();
+        let found = found.collect::<Vec<(usize, f32)>>().into_iter();
+        let (mut nearest, distances): (Vec<usize>, Vec<f32>) = found.unzip();
+        if self.continuity > 0.0 {
+            continued(current, self.pool, self.continuity, &mut nearest);
+        }
         self.cache = cached.map(|tiles| Cache {
             synthesis,
             rows,

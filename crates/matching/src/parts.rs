@@ -105,6 +105,19 @@ impl Part {
         [vec![trunk], limbs].concat()
     }
 
+    /// [`automatic`](Self::automatic) with the limbs at the root joint in the trunk: matched apart from
+    /// the root trajectory, legs would slide.
+    pub fn supported(layout: &MotionMatrix) -> Vec<Self> {
+        let mut parts = Self::automatic(layout);
+        let (limbs, legs): (Vec<Self>, Vec<Self>) =
+            parts.drain(1..).partition(|limb| !limb.root_trajectory);
+        let trunk = &mut parts[0].joints;
+        trunk.extend(legs.into_iter().flat_map(|leg| leg.joints));
+        trunk.sort_unstable();
+        trunk.dedup();
+        [parts, limbs].concat()
+    }
+
     /// The whole body as one part.
     pub fn body(layout: &MotionMatrix) -> Self {
         Self {

@@ -120,6 +120,11 @@ pub struct Settings {
     pub sigma: f64,
     /// Steps of matching and voting at each level, E.
     pub num_steps: usize,
+    /// Preference for the patch that follows the match before: how much further away than the nearest
+    /// it may be, in median distances of neighbouring example patches. 0, as in the published
+    /// program, takes the nearest.
+    #[serde(default)]
+    pub continuity: f64,
     /// Distance of two patches.
     pub distance: Distance,
     /// Start of the coarsest level.
@@ -144,6 +149,7 @@ impl Settings {
             alpha: Some(0.01),
             sigma: 10.0,
             num_steps: 3,
+            continuity: 0.0,
             distance: Distance::MeanSquare,
             start: Start::Examples,
             looping: Looping::Off,
@@ -192,6 +198,7 @@ impl Settings {
         if let Some(alpha) = self.alpha {
             in_range("alpha", alpha, 1e-9..=1e9).hint("0.01; `none` leaves completeness out")?;
         }
+        in_range("continuity", self.continuity, 0.0..=1e6).hint("0 takes the nearest patch")?;
         in_range("sigma", self.sigma, 0.0..=1e6).hint("0 is no noise")?;
         in_range("num_steps", self.num_steps, 1..=1000).hint("3 to 5 are usual")
     }

@@ -253,7 +253,10 @@ fn refined(
                 Pool::new(&own, settings.patch_size)
             });
             let pools: Vec<Pool> = pools.collect();
-            let search = |pool| Search::new(pool, settings.distance).among(pools.len());
+            let search = |pool| {
+                let search = Search::new(pool, settings.distance).among(pools.len());
+                search.continuing(settings.continuity)
+            };
             let mut searches: Vec<Search<'_>> = pools.iter().map(search).collect();
             for _ in 0..settings.num_steps {
                 let voted = groups.iter().zip(pools.iter().zip(&mut searches));

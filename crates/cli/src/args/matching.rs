@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use kinegrad_capture::UpAxis;
-use kinegrad_matching::{CoarseRatio, Length, Preset};
+use kinegrad_matching::{CoarseRatio, Heading, Length, Preset};
 
 use super::values::named;
 
@@ -39,11 +39,11 @@ pub struct MatchArguments {
     #[arg(long, default_value_t = 0, conflicts_with = "content")]
     pub seed: u64,
     /// Default settings: `published` (as in the published program) or `paper` (body parts and foot
-    /// contacts)
-    #[arg(long, value_parser = named::<Preset>, default_value = "published")]
-    pub preset: Preset,
-    /// Coherence, from mixing (0) to copying long stretches (1); sets `--coarse-ratio` and
-    /// `--alpha`
+    /// contacts) [default: published, with a higher coherence if the motion slides, shakes or freezes]
+    #[arg(long, value_parser = named::<Preset>)]
+    pub preset: Option<Preset>,
+    /// Coherence, from mixing (0) to copying long stretches (1); sets `--coarse-ratio` and `--alpha`
+    /// [default: as low as the measures allow]
     #[arg(long, value_name = "0..1", conflicts_with_all = ["coarse_ratio", "alpha"])]
     pub coherence: Option<f64>,
     /// Odd number of frames in a patch [default: from the preset, 11]
@@ -69,10 +69,11 @@ pub struct MatchArguments {
     /// Make a loop
     #[arg(long = "loop")]
     pub looping: bool,
-    /// Match motion relative to the heading, so that walks in different directions match; for
-    /// examples that turn around
-    #[arg(long)]
-    pub heading: bool,
+    /// Match motion relative to the heading, so that walks in different directions match: `relative`
+    /// (without a value), `world`, or `auto`, which is relative if the examples turn around
+    #[arg(long, value_name = "HEADING", value_parser = named::<Heading>, num_args = 0..=1,
+          require_equals = true, default_value = "auto", default_missing_value = "relative")]
+    pub heading: Heading,
     /// Body parts that are matched separately: `whole`, `auto` (trunk and limbs), or a TOML file
     /// [default: from the preset]
     #[arg(long, value_name = "PARTS")]

@@ -3,9 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use kinegrad_matching::{
-    Example, Fixed, Job, Keyframe, Looping, Made, PartChoice, Preset, Settings,
-};
+use kinegrad_matching::{Example, Fixed, Job, Keyframe, Looping, PartChoice, Preset, Settings};
 use kinegrad_report::check_ending;
 use kinegrad_train::{Error, Systems};
 
@@ -20,9 +18,6 @@ mod record;
 
 use motions::{Motion, is_clip};
 use record::Record;
-
-/// Range of headings in the examples above which `--heading` is suggested, degrees.
-const TURNS: f64 = 120.0;
 
 /// Generates a motion from examples.
 pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, Error> {
@@ -41,7 +36,7 @@ pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, 
     let job = job(systems, &arguments, &examples)?;
     let made = job.make(&examples).map_err(unusable)?;
     let features = clip.map(|clip| clip.features(&made.bvh)).transpose()?;
-    let record = Record::new(&arguments, &job, &made);
+    let record = Record::new(&arguments, &made);
     let described = serde_json::to_string_pretty(&record).expect("plain data") + "\n";
     let outputs = [
         Some(&arguments.out),
@@ -74,10 +69,9 @@ pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, 
                 say!("{}", path.display());
             }
             record.summarize();
-            note_short(&job, &made);
-            note_turns(&made);
         }
     }
+    record.warn();
     Ok(ExitCode::SUCCESS)
 }
 
@@ -146,7 +140,7 @@ fn job(
     arguments: &MatchArguments,
     examples: &[Example],
 ) -> Result<Job, Error> {
-    let is_paper = arguments.preset == Preset::Paper;
+    let is_paper = arguments.preset == Some(Preset::Paper);
     let parts = arguments.parts.as_deref();
     let parts = match parts.map(|parts| (parts, parts.to_str())) {
         None if is_paper => PartChoice::Automatic,
@@ -177,6 +171,7 @@ fn job(
         up: arguments.up.unwrap_or_else(|| guess_up(&examples[0].bvh)),
         contacts: is_paper,
         heading: arguments.heading,
+        adapts: !sets_mixing(arguments),
         parts,
         keyframes,
         fixed: fixed.collect::<Result<_, Error>>()?,
@@ -184,8 +179,19 @@ fn job(
     })
 }
 
+/// True if an option decides how much is mixed.
+fn sets_mixing(arguments: &MatchArguments) -> bool {
+    let numbers = [arguments.coherence, arguments.pyr_factor, arguments.sigma];
+    let counts = [arguments.patch_size, arguments.num_steps];
+    arguments.preset.is_some()
+        || arguments.coarse_ratio.is_some()
+        || arguments.alpha.is_some()
+        || numbers.iter().any(Option::is_some)
+        || counts.iter().any(Option::is_some)
+}
+
 fn settings(arguments: &MatchArguments) -> Result<Settings, Error> {
-    let mut settings = Settings::of(arguments.preset);
+    let mut settings = Settings::of(arguments.preset.unwrap_or_default());
     if let Some(coherence) = arguments.coherence {
         settings = settings.with_coherence(coherence)?;
     }
@@ -213,30 +219,4 @@ fn keyframes(systems: Systems<'_>, path: &Path) -> Result<Vec<(Keyframe, Option<
         Ok((keyframe, source.transpose()?))
     };
     keyframes.into_iter().map(with_source).collect()
-}
-
-/// Prints a note if the examples are too short for a coarse level, where noise becomes long
-/// stretches.
-fn note_short(job: &Job, made: &Made) {
-    let longest = made.examples.iter().map(|example| example.frames()).max();
-    let (settings, longest) = (&job.settings, longest.unwrap_or(1));
-    let ratio = settings.coarse_ratio.ratio(settings.patch_size, longest);
-    if ratio > 0.5 && settings.sigma > 0.0 {
-        tell!(
-            "note: the coarsest level has {:.0} % of the longest example's {longest} frames, which gives \
-             many splices; `--coarse-ratio 2x` or `--coherence 1` gives fewer",
-            100.0 * ratio.min(1.0)
-        );
-    }
-}
-
-/// Prints a note if the examples turn around: patches match only at the same heading.
-fn note_turns(made: &Made) {
-    let arc = made.layout.heading_arc(&made.examples).map(f64::to_degrees);
-    if let Some(arc) = arc.filter(|arc| *arc > TURNS) {
-        tell!(
-            "note: headings of the examples range over {arc:.0} degrees, and patches match only those with \
-             the same heading; `--heading` matches relative to it"
-        );
-    }
 }

@@ -104,7 +104,7 @@ fn a_key_frame_does_not_still_the_rest() {
         job.length = Some(Length::Seconds(6.0));
         job.seed = seed;
         let made = job.make(&[walk(75)]).unwrap();
-        made.stillness().unwrap().motion
+        made.quality.motion.still_share
     };
     for seed in [0, 1, 2] {
         let without = still(seed, &[]);
@@ -139,7 +139,7 @@ fn a_loop_that_turns_heads_at_its_end_as_at_its_beginning() {
     for keyframes in [vec![], vec![key(1.0, 0.5)]] {
         let mut job = with(&keyframes);
         job.length = Some(crate::Length::Frames(100));
-        job.heading = true;
+        job.heading = Heading::Relative;
         job.settings.looping = Looping::Even;
         let made = job.make(&[walk(70)]).unwrap();
         let step = |a: usize, b: usize| {

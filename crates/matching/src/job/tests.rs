@@ -41,7 +41,8 @@ fn the_paper_divides_the_body_and_matches_contacts() {
         ..job()
     };
     let made = paper.make(&[walk(70)]).unwrap();
-    assert_eq!(made.synthesis.origins.len(), 3);
+    // Legs are matched with the root trajectory.
+    assert_eq!(made.synthesis.origins.len(), 1);
     assert_eq!(made.layout.contacts, [3, 5]);
     assert_eq!(made.bvh.frames(), 140);
 }
@@ -174,7 +175,7 @@ fn a_content_is_followed_in_the_manner_of_the_examples() {
 
 #[test]
 fn places_of_key_frames_are_passed() {
-    for heading in [false, true] {
+    for heading in [Heading::World, Heading::Relative] {
         let at = |time: f64, place| Keyframe {
             time,
             source_time: 0.5,
@@ -280,4 +281,45 @@ fn feet_are_locked_where_those_of_the_example_rest() {
         moved += usize::from(apart(foot) > 1e-3);
     }
     assert!(moved > 0);
+}
+
+#[test]
+fn short_and_turning_examples_get_other_settings() {
+    let walk = [walk(70)];
+    let adapting = |seed| Job {
+        seed,
+        adapts: true,
+        heading: Heading::Auto,
+        ..job()
+    };
+    for seed in 0..3 {
+        let plain = Job { seed, ..job() }.make(&walk).unwrap();
+        let adapted = adapting(seed).make(&walk).unwrap();
+        assert!(plain.adaptation.is_none() && !adapted.layout.is_relative());
+        let [before, after] = [&plain, &adapted].map(|made| made.quality.excess());
+        assert!(after <= 1.0 || after < before, "{seed}: {before} {after}");
+        let quality = &adapted.quality;
+        assert!(after > 1.0 || quality.beyond().is_empty(), "{quality:?}");
+        assert_eq!(
+            adapted.adaptation.is_none(),
+            adapted.settings == job().settings
+        );
+    }
+    // The walk turns once around.
+    let mut turning = walk[0].clone();
+    let mut locals: Vec<_> = (0..70).flat_map(|t| turning.bvh.locals(t)).collect();
+    let joints = turning.bvh.joints().len();
+    for (t, pose) in locals.chunks_mut(joints).enumerate() {
+        let turn = kinegrad_motion::Quaternion::from_yaw(0.09 * t as f64);
+        pose[1].orientation = turn * pose[1].orientation;
+    }
+    turning.bvh = turning.bvh.reposed(1.0 / 30.0, &locals).unwrap();
+    let made = adapting(0).make(&[turning.clone()]).unwrap();
+    assert!(made.layout.is_relative());
+    assert!(made.quality.motion.largest_turn < 15.0);
+    let world = Job {
+        heading: Heading::World,
+        ..adapting(0)
+    };
+    assert!(!world.make(&[turning]).unwrap().layout.is_relative());
 }

@@ -1,19 +1,20 @@
 //! Coverage, diversity and novelty of a new motion.
 
+mod movement;
 mod novelty;
 mod seam;
 mod sliding;
-mod stillness;
 mod windows;
 
 use serde::Serialize;
 
 use crate::Frames;
 
+pub(crate) use movement::Reference;
+pub use movement::{Movement, Quality};
 pub use novelty::{Novelty, Run};
 pub use seam::Seam;
 pub use sliding::Sliding;
-pub use stillness::Stillness;
 use windows::{cheapest, segmented};
 
 /// Window of coverage and shortest segment of global diversity, in frames.

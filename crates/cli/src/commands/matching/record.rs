@@ -3,14 +3,11 @@
 use std::path::PathBuf;
 
 use kinegrad_matching::{
-    Job, Made, Measures, Novelty, Preset, Run, Seam, Settings, Sliding, Stillness,
+    Adaptation, Made, Measures, Novelty, Preset, Quality, Run, Seam, Settings, Sliding,
 };
 use serde::Serialize;
 
 use crate::args::MatchArguments;
-
-/// Least excess of still frames over the examples for a message.
-const MORE_STILL: f64 = 0.03;
 
 /// Least ratio of jerk to the sources' jerk for a message, with fixed parts.
 const SHAKING: f64 = 1.3;
@@ -29,6 +26,9 @@ pub struct Record {
     settings: Settings,
     #[serde(skip_serializing_if = "Option::is_none")]
     coherence: Option<f64>,
+    /// None if the first attempt was taken, or an option decides how much is mixed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    adaptation: Option<Adaptation>,
     frames: usize,
     fps: f64,
     heading: bool,
@@ -46,8 +46,7 @@ pub struct Record {
     /// `None` without `--loop`.
     #[serde(skip_serializing_if = "Option::is_none")]
     seam: Option<Seam>,
-    /// `None` for a motion of one frame.
-    still: Option<Stillness>,
+    quality: Quality,
     /// `None` if the motions are too short or too long to compare.
     measures: Option<Measures>,
 }
@@ -66,7 +65,7 @@ struct PartRecord {
 
 impl Record {
     /// The record of `made`.
-    pub fn new(arguments: &MatchArguments, job: &Job, made: &Made) -> Self {
+    pub fn new(arguments: &MatchArguments, made: &Made) -> Self {
         let joints = made.layout.joints();
         let as_array = |run: &Run| [run.start, run.example, run.first, run.frames];
         let example_frames = made.examples.iter().map(|example| example.frames());
@@ -86,19 +85,20 @@ impl Record {
             example_frames: example_frames.collect(),
             content: arguments.content.clone(),
             seed: arguments.seed,
-            preset: arguments.preset,
-            settings: job.settings.clone(),
+            preset: arguments.preset.unwrap_or_default(),
+            settings: made.settings.clone(),
             coherence: arguments.coherence,
+            adaptation: made.adaptation,
             frames: made.bvh.frames(),
             fps: 1.0 / made.layout.frame_time(),
-            heading: arguments.heading,
+            heading: made.layout.is_relative(),
             parts: parts.collect(),
             keyframes: arguments.keyframes.clone(),
             fixed: fixed.collect(),
             sliding: made.sliding,
             jerk: made.jerk,
-            seam: made.seam(job.settings.looping),
-            still: made.stillness(),
+            seam: made.seam(made.settings.looping),
+            quality: made.quality.clone(),
             measures: made.measures(&[]),
         }
     }
@@ -116,15 +116,7 @@ impl Record {
                 measures.local_diversity
             );
         }
-        let is_stiller = |still: &Stillness| still.motion > still.examples + MORE_STILL;
-        if let Some(still) = self.still.filter(is_stiller) {
-            tell!(
-                "it stands still in {:.0} % of its frames, the examples in {:.0} %: try another `--seed`, or \
-                 `--coherence 1`",
-                100.0 * still.motion,
-                100.0 * still.examples
-            );
-        }
+        self.summarize_quality();
         if let Some(jerk) = self.jerk.filter(|jerk| *jerk > SHAKING) {
             tell!(
                 "it shakes: its jerk is {jerk:.1} times that of the source motions; fix more of the body, \
@@ -153,6 +145,45 @@ impl Record {
                 part.novelty.longest_copied_seconds,
                 part.novelty.splices_per_second
             );
+        }
+    }
+
+    /// Prints the physical measures beside those of the examples.
+    fn summarize_quality(&self) {
+        if let Some(adaptation) = &self.adaptation {
+            let number = adaptation.attempt + 1;
+            let settings = match adaptation.coherence {
+                Some(coherence) => format!("coherence {coherence}"),
+                None => "the usual settings".to_string(),
+            };
+            tell!(
+                "{settings}, attempt {number}: earlier attempts slid, shook or froze more; `--coherence` \
+                 sets it"
+            );
+        }
+        let (motion, examples) = (&self.quality.motion, &self.quality.examples);
+        let toe = |speed: Option<f64>| speed.map_or("-".to_string(), |toe| format!("{toe:.3}"));
+        tell!(
+            "motion (examples), in units and seconds: toe speed while low {} ({}), jerk {:.0} ({:.0}), \
+             fastest joint {:.2} ({:.2}), still {:.0} % ({:.0} %), largest turn in a frame {:.0} degrees \
+             ({:.0})",
+            toe(motion.toe_speed_while_low),
+            toe(examples.toe_speed_while_low),
+            motion.jerk,
+            examples.jerk,
+            motion.fastest_joint,
+            examples.fastest_joint,
+            100.0 * motion.still_share,
+            100.0 * examples.still_share,
+            motion.largest_turn,
+            examples.largest_turn,
+        );
+    }
+
+    /// Warns of measures beyond their bounds.
+    pub fn warn(&self) {
+        for beyond in self.quality.beyond() {
+            tell!("warning: {beyond}");
         }
     }
 }
