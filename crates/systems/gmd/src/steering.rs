@@ -77,6 +77,15 @@ impl SteeringConfig {
         first
     }
 
+    /// The settings along a path with a position for each frame: unless `schedule.motion_until` says
+    /// otherwise, it is imputed to the last step. The motion model would leave it again.
+    #[must_use]
+    pub(super) fn along_path(&self) -> Self {
+        let mut along = self.clone();
+        along.schedule.motion_until.get_or_insert(0);
+        along
+    }
+
     /// The padding and the other settings, for a record.
     pub(super) fn record(&self) -> (Value, Value) {
         let mut rest = to_value(self).expect(PLAIN);
