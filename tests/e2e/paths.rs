@@ -119,6 +119,25 @@ fn ways_of_held_out_clips_are_followed_and_measured() {
             assert!(off_the_circle(&joints) < 0.02, "{method}");
         }
     }
+    // A path beyond the legs is followed as far as they reach, and both lengths are told.
+    sandbox.write("long.toml", "points = [[0, 0], [0, 60]]\n");
+    let said = sandbox
+        .run("sample runs/bpe --path long.toml --method warp --frames 40 --out long")
+        .succeeded();
+    assert!(
+        said.stderr
+            .contains("asks for 60.00 m and the motion walks"),
+        "{}",
+        said.stderr
+    );
+    let gone = track(&sandbox, "long.npy");
+    assert!(gone[39][1] < 30.0, "{:?}", gone[39]);
+    let report = record(&sandbox, "long.json")["path"]["report"].clone();
+    let travelled = report["travelled"].as_f64().expect("metres");
+    assert!(
+        (travelled - gone[39][1]).abs() < 0.1 && report["asked"] == 60.0,
+        "{report}"
+    );
     for (line, expected) in [
         (
             "train c.toml --name x --set paths.drop_prob=0.1",
@@ -142,7 +161,14 @@ fn clips_of_goals_follow_a_path_from_a_file() {
     let said = sandbox
         .run(&format!("{sample} --out on --count 2"))
         .succeeded();
-    assert!(said.stdout.contains("from the path"), "{}", said.stdout);
+    for part in [
+        "travelled",
+        "from the path",
+        "from its place in time",
+        "lowest joint",
+    ] {
+        assert!(said.stdout.contains(part), "{part}: {}", said.stdout);
+    }
     for name in ["on-000", "on-001"] {
         let track = track(&sandbox, &format!("{name}.npy"));
         assert_eq!(track.len(), 20);
@@ -152,6 +178,14 @@ fn clips_of_goals_follow_a_path_from_a_file() {
         assert!((end[0] + 1.0).hypot(end[1] - 5.0) < 0.01, "{end:?}");
         let record = record(&sandbox, &format!("{name}.json"));
         assert_eq!(record["path"]["file"], "quarter.toml");
+        let report = &record["path"]["report"];
+        let number = |key: &str| report[key].as_f64().expect("a number");
+        assert!((number("asked") - 3.14).abs() < 0.02, "{report}");
+        assert!(
+            (number("travelled") - number("asked")).abs() < 0.05,
+            "{report}"
+        );
+        assert!(number("largest_error") < 0.02 && number("lowest_joint").is_finite());
         assert_eq!(record["condition"]["path"]["file"], "quarter.toml");
         let points = record["path"]["content"]["points"].as_array();
         assert!(points.is_some_and(|points| points.len() > 2), "{record}");

@@ -3,6 +3,8 @@
 use std::fs;
 
 use kinegrad_data::{read_array, write_values};
+use kinegrad_motion::humanml::{Features, Joints, Root, Skeleton};
+use kinegrad_motion::metrics::BodyQuality;
 use kinegrad_tests::sandbox::Sandbox;
 use serde_json::Value;
 
@@ -92,6 +94,89 @@ fn a_walk_follows_paths_of_every_kind() {
         last[0].abs() < 1e-2 && (last[2] - 2.0).abs() < 1e-2,
         "{last:?}"
     );
+}
+
+/// Joint positions of a walk's features, metres.
+fn source(sandbox: &Sandbox) -> Joints {
+    let rows = read_array(&sandbox.path("walk.features.npy")).expect("features");
+    let layout = Skeleton::humanml3d().layout();
+    let features = Features::new(rows.values, layout, Root::Relative).expect("features");
+    features.joints()
+}
+
+/// Joint positions of a file, metres.
+fn joints(sandbox: &Sandbox, name: &str) -> Joints {
+    let places = frames(sandbox, name).concat().into_iter();
+    let places = places.map(|place| place.map(f64::from));
+    Joints::new(places.collect(), 22).expect("joints")
+}
+
+#[test]
+fn locked_feet_stay_on_the_floor_and_catch_up_in_their_own_time() {
+    let sandbox = sandbox();
+    let skeleton = Skeleton::humanml3d();
+    let before = source(&sandbox);
+    let track = before.track(0);
+    let steps = track
+        .windows(2)
+        .map(|pair| (pair[1][0] - pair[0][0]).hypot(pair[1][2] - pair[0][2]));
+    let walked: f64 = steps.sum();
+    let own = BodyQuality::of(&before, &skeleton, 0.0);
+    for ratio in [0.75, 1.0, 1.3, 1.45] {
+        let path = format!(
+            "points = [[0, 0], [0, {}]]\ncurve = 'line'\n",
+            ratio * walked
+        );
+        sandbox.write("way.toml", path);
+        let line = "warp walk.features.npy --path way.toml --lock-feet --out locked --overwrite";
+        sandbox.run(line).succeeded();
+        let moved = joints(&sandbox, "locked.npy");
+        // No foot is lifted, which heights alone show.
+        for t in 0..moved.frames() {
+            let lowest = |joints: &Joints| {
+                let heights = joints.frame(t).iter().map(|place| place[1]);
+                heights.fold(f64::INFINITY, f64::min)
+            };
+            let raised = lowest(&moved) - lowest(&before);
+            assert!(raised < 0.005, "{ratio}, frame {t}: {raised}");
+        }
+        let found = BodyQuality::of(&moved, &skeleton, 0.0);
+        assert!(
+            found.foot_skating.unwrap() < own.foot_skating.unwrap() + 0.1,
+            "{ratio}: {found:?}"
+        );
+        let factor = if ratio < 1.1 { 1.3 } else { 2.5 };
+        assert!(
+            found.jerk_99.unwrap() < factor * own.jerk_99.unwrap(),
+            "{ratio}: {found:?} {own:?}"
+        );
+        let record = fs::read_to_string(sandbox.path("locked.json")).expect("a record");
+        let record: Value = serde_json::from_str(&record).expect("JSON");
+        let number = |value: &Value| value.as_f64().expect("a number");
+        assert!((number(&record["after"]["floating"]) - found.floating.unwrap()).abs() < 0.02);
+        assert!((number(&record["after"]["travelled"]) / (ratio * walked) - 1.0).abs() < 0.02);
+    }
+    sandbox.write(
+        "far.toml",
+        format!("points = [[0, 0], [0, {}]]\n", 2.0 * walked),
+    );
+    let expected = format!(
+        "the path is {:.2} m long and the motion walks {walked:.2} m",
+        2.0 * walked
+    );
+    let line = "warp walk.features.npy --path far.toml --lock-feet --out far";
+    sandbox.run(line).failed(2, &[&expected, "--along own"]);
+    sandbox.run(&format!("{line} --along own")).succeeded();
+    // Nothing stretches a body that stands.
+    let still = before.frame(0).repeat(30);
+    let still: Vec<f32> = still
+        .into_iter()
+        .flatten()
+        .map(|value| value as f32)
+        .collect();
+    write_values(&sandbox.path("still.npy"), &[30, 22, 3], &still).expect("written");
+    let line = "warp still.npy --path line.toml --out statue";
+    sandbox.run(line).failed(2, &["walks 0.00 m"]);
 }
 
 #[test]

@@ -5,9 +5,9 @@ use std::process::ExitCode;
 
 use kinegrad_data::Digest;
 use kinegrad_data::file::read_text;
-use kinegrad_motion::feet::{ContactRule, lock_joints};
+use kinegrad_motion::feet::{ContactRule, Planted, lock_joints};
 use kinegrad_motion::humanml::{Extraction, Features, Joints, Skeleton};
-use kinegrad_motion::metrics::{mean_jerk, skating_ratio};
+use kinegrad_motion::metrics::BodyQuality;
 use kinegrad_motion::path::{ArcLengthMode, PathPlan, PathReport, Warp};
 use kinegrad_report::table;
 use kinegrad_train::{Error, Systems};
@@ -18,8 +18,11 @@ use crate::io::{Content, MotionArray, bvh_file, must_be_new, stem, write_all};
 use crate::output::unusable;
 use crate::{folder, interrupt, output};
 
-/// Speed ratios of a stretched motion that cause no warning.
-const USUAL: std::ops::RangeInclusive<f64> = 0.67..=1.5;
+/// Least speed ratio of a stretched motion without a warning.
+const SLOW: f64 = 0.67;
+
+/// Largest speed ratio of a stretched motion: steps that are longer leave the legs' reach.
+const LONGEST_STRIDE: f64 = 1.5;
 
 /// Largest missing leg length that causes no warning, meters.
 const LEGS_SHORT: f64 = 0.02;
@@ -42,7 +45,7 @@ struct Record {
     path_length: f64,
     /// Ratio of the root's speed after and before; 0 for a motion that stood.
     speed_ratio: f64,
-    before: Quality,
+    before: BodyQuality,
     after: PathReport,
 }
 
@@ -54,15 +57,8 @@ struct Feet {
     /// Mean speed of standing feet on the path before and after, meters per second.
     slid_before: f64,
     slide_after: f64,
-    /// Largest distance of a foot from its contact position, meters.
+    /// Largest distance of a foot from its contact position, out of the leg's reach, metres.
     legs_short: f64,
-}
-
-/// Quality measures of a motion.
-#[derive(Serialize)]
-struct Quality {
-    foot_skating: Option<f64>,
-    jerk: Option<f64>,
 }
 
 /// Moves a motion onto a path.
@@ -82,6 +78,9 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         },
     };
     let warped = warp.apply(&joints, &skeleton, &path).map_err(unusable)?;
+    if arguments.along == ArcLengthMode::Stretch {
+        must_be_in_reach(&joints, path.length(), warped.speed_ratio)?;
+    }
     let frames = warped.course.frames();
     if frames < 2 {
         let message = format!(
@@ -93,9 +92,17 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
     }
     let own = joints.as_slice()[..frames * joints.joints()].to_vec();
     let own = Joints::new(own, joints.joints())?;
+    let floor = floor_of(&own);
     let lock = || {
-        let (rule, floor) = (ContactRule::default(), floor_of(&own));
-        lock_joints(&warped.joints, &own, &skeleton, &rule, floor)
+        let rule = ContactRule::default();
+        lock_joints(
+            &warped.joints,
+            &own,
+            &skeleton,
+            &rule,
+            Planted::AsSeen,
+            floor,
+        )
     };
     let locked = arguments.lock_feet.then(lock).transpose()?;
     let feet = locked.as_ref().map(|locked| Feet {
@@ -121,8 +128,8 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         fps: skeleton.description().fps,
         path_length: path.length(),
         speed_ratio: warped.speed_ratio,
-        before: Quality::of(&own, &skeleton),
-        after: PathReport::of(&moved, &skeleton, &path, &warped.course)?,
+        before: BodyQuality::of(&own, &skeleton, floor),
+        after: PathReport::of(&moved, &skeleton, &path, &warped.course, floor)?,
         path_content: plan,
     };
     for path in &outputs {
@@ -140,6 +147,29 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
     }
     record.warn(joints.frames(), arguments.along);
     Ok(ExitCode::SUCCESS)
+}
+
+/// Refuses a path that a motion of `joints` would only reach by sliding.
+fn must_be_in_reach(joints: &Joints, length: f64, speed_ratio: f64) -> Result<(), Error> {
+    if speed_ratio > 0.0 && speed_ratio <= LONGEST_STRIDE {
+        return Ok(());
+    }
+    let walked = if speed_ratio > 0.0 {
+        length / speed_ratio
+    } else {
+        0.0
+    };
+    let message = format!(
+        "the path is {length:.2} m long and the motion walks {walked:.2} m in {} frames: its legs reach \
+         {LONGEST_STRIDE} times as far at most",
+        joints.frames()
+    );
+    let hint = format!(
+        "give a path of at most {:.2} m or a longer motion, or walk the beginning of the path with \
+         `--along own`",
+        LONGEST_STRIDE * walked
+    );
+    Err(Error::usage(message, hint))
 }
 
 /// Output files: joints, features, BVH and record.
@@ -201,18 +231,7 @@ fn write(
     write_all(&files)
 }
 
-impl Quality {
-    fn of(joints: &Joints, skeleton: &Skeleton) -> Self {
-        let feet = skeleton.contact_joints();
-        let fps = skeleton.description().fps;
-        Self {
-            foot_skating: skating_ratio(joints, fps, &[feet[1], feet[3]]),
-            jerk: mean_jerk(joints, fps),
-        }
-    }
-}
-
-/// The floor of a motion: y = 0, or the lowest joint if all joints are higher.
+/// The floor of a motion: y = 0, or its lowest joint if that is higher.
 fn floor_of(joints: &Joints) -> f64 {
     let heights = joints.as_slice().iter().map(|place| place[1]);
     heights.fold(f64::INFINITY, f64::min).max(0.0)
@@ -223,19 +242,29 @@ impl Record {
         let number = |value: Option<f64>, digits: usize| {
             value.map_or("-".to_owned(), |value| format!("{value:.digits$}"))
         };
-        let row = |name: &str, before: String, after: Option<f64>, digits| {
-            [name.to_owned(), before, number(after, digits)]
-        };
-        let (before, after) = (&self.before, &self.after);
-        let skating = number(before.foot_skating, 3);
-        let (heading, distance) = (after.heading_error, Some(after.largest_distance));
-        let rows = [
-            row("foot skating", skating, after.foot_skating, 3),
-            row("jerk, m/s^3", number(before.jerk, 0), after.jerk, 0),
-            row("heading from the path, degrees", "".into(), heading, 1),
-            row("root from the path, m", "".into(), distance, 6),
+        let after = &self.after;
+        let body = self.before.rows().into_iter().zip(after.body.rows());
+        let body = body.map(|((name, before, digits), (_, after, _))| {
+            [
+                name.to_owned(),
+                number(before, digits),
+                number(after, digits),
+            ]
+        });
+        let row = |name: &str, value: String| [name.to_owned(), String::new(), value];
+        let travelled = format!("{:.2} of {:.2}", after.travelled, self.path_length);
+        let path = [
+            row("travelled along the path, m", travelled),
+            row(
+                "root from the path, m",
+                number(Some(after.largest_distance), 6),
+            ),
+            row(
+                "heading from the path, degrees",
+                number(after.heading_error, 1),
+            ),
         ];
-        tell!("{}", table(["", "before", "after"], rows));
+        tell!("{}", table(["", "before", "after"], body.chain(path)));
     }
 
     /// Prints notes and warnings.
@@ -247,15 +276,13 @@ impl Record {
                 self.path_length
             );
         }
-        match self.speed_ratio {
-            0.0 if along == ArcLengthMode::Own => {}
-            0.0 => tell!("warning: the motion stands still, so it slides along the path"),
-            ratio if !USUAL.contains(&ratio) => tell!(
+        if along == ArcLengthMode::Stretch && self.speed_ratio < SLOW {
+            let ratio = self.speed_ratio;
+            tell!(
                 "warning: the root is {ratio:.2} times as fast as before, so feet slide: give a path of \
                  the motion's length ({:.2} m), or `--along own`",
                 self.path_length / ratio
-            ),
-            _ => {}
+            );
         }
         let Some(feet) = &self.feet else { return };
         if feet.in_contact == 0.0 {
@@ -263,7 +290,7 @@ impl Record {
         }
         if feet.legs_short > LEGS_SHORT {
             tell!(
-                "warning: legs are up to {:.2} m too short to keep their contacts",
+                "warning: feet in contact slide by up to {:.2} m, because the legs do not reach",
                 feet.legs_short
             );
         }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use kinegrad_capture::{Bvh, Units, UpAxis};
 use kinegrad_data::file::read_file;
-use kinegrad_motion::feet::{ContactRule, lock_joints};
+use kinegrad_motion::feet::{ContactRule, Planted, lock_joints};
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_train::Error;
 
@@ -143,7 +143,14 @@ fn with_locked_feet(
     // BVH has constant bone lengths: feet locked before the conversion would slide again.
     let rigid = bvh.joints_of(skeleton, CENTIMETRES);
     let rigid = rigid.expect("a file of these joints");
-    let locked = lock_joints(&rigid, joints, skeleton, &ContactRule::default(), 0.0)?;
+    let locked = lock_joints(
+        &rigid,
+        joints,
+        skeleton,
+        &ContactRule::default(),
+        Planted::Still,
+        0.0,
+    )?;
     let missed = Some(locked.missed).filter(|missed| *missed > EXACT);
     let short = missed.map(|missed| format!("; legs are up to {missed:.3} m too short"));
     let short = short.unwrap_or_default();

@@ -1,10 +1,16 @@
 //! The feet of a skeleton's joints.
 
-use super::{ContactRule, Leg, lock, sliding};
+use super::ease::Foot;
+use super::{ContactRule, bend, corrections, sliding};
 use crate::humanml::{FeatureError, Joints, Skeleton};
+use crate::metrics::SKATING_SPEED;
+use crate::vector::{length, minus, plus};
 
-/// Seconds over which a correction fades: five frames at 20 frames per second.
-const BLEND_SECONDS: f64 = 0.25;
+/// Seconds over which the correction of a still foot fades: five frames at 20 frames per second.
+const STILL_SECONDS: f64 = 0.25;
+
+/// Seconds over which an eased correction fades where no contact follows: about a step.
+const STEP_SECONDS: f64 = 0.4;
 
 /// Joints whose feet are locked in contact.
 #[derive(Clone, Debug)]
@@ -21,8 +27,19 @@ pub struct LockedJoints {
     pub missed: f64,
 }
 
-/// Locks the feet of `joints` during the contacts above `floor` that `rule` finds in `seen`, the
-/// joints or their source.
+/// What a planted foot does.
+#[derive(Clone, Copy, Debug, Eq, PartialEq)]
+pub enum Planted {
+    /// It stays where it is.
+    Still,
+    /// It moves over the ground as in the motion in which contacts are found; slow steps are left
+    /// out.
+    AsSeen,
+}
+
+/// Locks the feet of `joints` where `rule` finds contacts above `floor` in `seen`, the joints
+/// themselves or their source. With [`Planted::AsSeen`] heights stay as they are: a foot out of reach
+/// slides.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`] unless both are the same frames of joints of `skeleton`.
@@ -31,6 +48,7 @@ pub fn lock_joints(
     seen: &Joints,
     skeleton: &Skeleton,
     rule: &ContactRule,
+    planted: Planted,
     floor: f64,
 ) -> Result<LockedJoints, FeatureError> {
     joints.must_be_of(skeleton)?;
@@ -38,36 +56,82 @@ pub fn lock_joints(
     FeatureError::unless_equal("frames", joints.frames(), seen.frames())?;
     let fps = skeleton.description().fps;
     let legs = skeleton.legs();
-    let stands = |leg: &Leg| rule.contacts(&seen.track(leg.sole), fps, floor);
-    let contacts: Vec<Vec<bool>> = legs.iter().map(stands).collect();
     let frames = (0..joints.frames()).map(|t| joints.frame(t).to_vec());
-    let frames: Vec<Vec<[f64; 3]>> = frames.collect();
-    let blend = (BLEND_SECONDS * fps).round() as usize;
-    let locked = lock(&frames, skeleton.parents(), &legs, &contacts, blend);
-    let joints_after = Joints::new(locked.positions.concat(), joints.joints())?;
-    let speed = |joints: &Joints| {
-        let of =
-            |(leg, contacts): (&Leg, &Vec<bool>)| sliding(&joints.track(leg.sole), contacts) * fps;
-        legs.iter().zip(&contacts).map(of).sum::<f64>() / legs.len().max(1) as f64
-    };
-    let flags = contacts.concat();
-    let standing = flags.iter().filter(|&&contact| contact).count();
-    let missed = locked.missed.concat().into_iter().fold(0.0, f64::max);
+    let mut frames: Vec<Vec<[f64; 3]>> = frames.collect();
+    let turns: Vec<f64> = (0..joints.frames())
+        .map(|t| turn(seen.frame(t), joints.frame(t)))
+        .collect();
+    let (mut standing, mut before, mut after, mut missed) = (0, 0.0, 0.0, 0.0_f64);
+    for leg in &legs {
+        let own = seen.track(leg.sole);
+        let contacts = rule.contacts(&own, fps, floor);
+        let path = joints.track(leg.sole);
+        let step = |path: &[[f64; 3]], t: usize| minus(path[t + 1], path[t]);
+        // A step of the source, turned as the body is and without slow sliding.
+        let kept = |t: usize| {
+            let ([x, y, z], turn) = (step(&own, t), 0.5 * (turns[t] + turns[t + 1]));
+            let speed = x.hypot(z) * fps / SKATING_SPEED;
+            let share = (2.0 * speed - 1.0).clamp(0.0, 1.0);
+            let (sin, cos) = turn.sin_cos();
+            [share * (x * cos + z * sin), y, share * (z * cos - x * sin)]
+        };
+        let by = match planted {
+            Planted::Still => {
+                let by = corrections(&path, &contacts, (STILL_SECONDS * fps).round() as usize);
+                let wanted = path.iter().zip(&by).map(|(place, by)| plus(*place, *by));
+                (by.clone(), wanted.collect::<Vec<_>>())
+            }
+            Planted::AsSeen => {
+                let steps = 0..path.len().saturating_sub(1);
+                let foot = Foot {
+                    unwanted: steps.map(|t| minus(step(&path, t), kept(t))).collect(),
+                    contacts: &contacts,
+                    reachable: |t: usize, by| leg.reachable(joints.frame(t), by),
+                };
+                let by = foot.corrections(STEP_SECONDS * fps);
+                missed = missed.max(foot.missed(&by));
+                (by, Vec::new())
+            }
+        };
+        for (frame, by) in frames.iter_mut().zip(by.0) {
+            bend(frame, skeleton.parents(), leg, by);
+        }
+        let left = frames.iter().zip(by.1);
+        let left = left.map(|(frame, wanted)| length(minus(wanted, frame[leg.sole])));
+        missed = left.fold(missed, f64::max);
+        let locked: Vec<[f64; 3]> = frames.iter().map(|frame| frame[leg.sole]).collect();
+        before += sliding(&path, &contacts) * fps / legs.len() as f64;
+        after += sliding(&locked, &contacts) * fps / legs.len() as f64;
+        standing += contacts.into_iter().filter(|&contact| contact).count();
+    }
     Ok(LockedJoints {
-        in_contact: standing as f64 / flags.len().max(1) as f64,
-        before: speed(joints),
-        after: speed(&joints_after),
+        in_contact: standing as f64 / (legs.len() * joints.frames()).max(1) as f64,
+        before,
+        after,
         missed,
-        joints: joints_after,
+        joints: Joints::new(frames.concat(), joints.joints())?,
     })
+}
+
+/// Rotation about +y that turns the ground positions of `from` about their root best into those of
+/// `to`, radians.
+fn turn(from: &[[f64; 3]], to: &[[f64; 3]]) -> f64 {
+    let pairs = from
+        .iter()
+        .zip(to)
+        .map(|(a, b)| (minus(*a, from[0]), minus(*b, to[0])));
+    let (sin, cos) = pairs.fold((0.0, 0.0), |(sin, cos), ([ax, _, az], [bx, _, bz])| {
+        (sin + az * bx - ax * bz, cos + ax * bx + az * bz)
+    });
+    sin.atan2(cos)
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::Leg;
     use super::*;
     use crate::humanml::walk::{Course, joints as walk};
-    use crate::metrics::skating_ratio;
-    use crate::vector::{length, minus};
+    use crate::metrics::{BodyQuality, skating_ratio};
 
     /// A walk whose joints slide by `slide` metres per second, and to the left. With a backward
     /// slide the strides are longer than the path, so the legs reach every contact position.
@@ -105,7 +169,7 @@ mod tests {
         let skeleton = Skeleton::humanml3d();
         let rule = ContactRule::default();
         let slid = sliding_walk(&skeleton, -0.4);
-        let locked = lock_joints(&slid, &slid, &skeleton, &rule, 0.0).unwrap();
+        let locked = lock_joints(&slid, &slid, &skeleton, &rule, Planted::Still, 0.0).unwrap();
         assert!(
             locked.in_contact > 0.4 && locked.in_contact < 0.8,
             "{}",
@@ -162,8 +226,9 @@ mod tests {
         );
         let skates = |joints: &Joints| skating_ratio(joints, fps, &[10, 11]).unwrap();
         let quick = sliding_walk(&skeleton, -0.48);
-        let quick_held = lock_joints(&quick, &quick, &skeleton, &rule, 0.0).unwrap();
-        // A foot that has just lifted is low and quick, also in a walk without sliding.
+        let quick_held =
+            lock_joints(&quick, &quick, &skeleton, &rule, Planted::Still, 0.0).unwrap();
+        // A foot that has just left is low and quick: what a walk that does not slide has as well.
         let own = skates(&sliding_walk(&skeleton, 0.0));
         let (before, after) = (skates(&quick), skates(&quick_held.joints));
         assert!(before > 0.9 && after < own + 0.05, "{before} {after} {own}");
@@ -174,9 +239,36 @@ mod tests {
         // The body slides further than its strides reach.
         let skeleton = Skeleton::humanml3d();
         let slid = sliding_walk(&skeleton, 0.4);
-        let locked = lock_joints(&slid, &slid, &skeleton, &ContactRule::default(), 0.0).unwrap();
+        let locked = lock_joints(
+            &slid,
+            &slid,
+            &skeleton,
+            &ContactRule::default(),
+            Planted::Still,
+            0.0,
+        )
+        .unwrap();
         assert!(locked.missed > 0.02, "{}", locked.missed);
         assert!(locked.after < 0.6 * locked.before, "{}", locked.after);
+        // A foot that moves as in its source slides rather than leaves the floor.
+        let walk = sliding_walk(&skeleton, 0.0);
+        let rule = ContactRule::default();
+        let eased = lock_joints(&slid, &walk, &skeleton, &rule, Planted::AsSeen, 0.0).unwrap();
+        assert!(
+            eased.missed > 0.02 && eased.after < eased.before,
+            "{eased:?}"
+        );
+        for leg in skeleton.legs() {
+            let both = slid
+                .track(leg.sole)
+                .into_iter()
+                .zip(eased.joints.track(leg.sole));
+            assert!(
+                both.map(|(old, new)| new[1] - old[1])
+                    .fold(f64::MIN, f64::max)
+                    < 1e-3
+            );
+        }
         for leg in skeleton.legs() {
             for t in 0..slid.frames() {
                 let bone = |joints: &Joints, [a, b]: [usize; 2]| {
@@ -194,27 +286,86 @@ mod tests {
     }
 
     #[test]
+    fn a_clean_walk_stays_as_it_is_and_a_longer_stride_is_as_smooth() {
+        let skeleton = Skeleton::humanml3d();
+        let walk = sliding_walk(&skeleton, 0.0);
+        let rule = ContactRule::default();
+        let locked = lock_joints(&walk, &walk, &skeleton, &rule, Planted::AsSeen, 0.0).unwrap();
+        let own = BodyQuality::of(&walk, &skeleton, 0.0);
+        let found = BodyQuality::of(&locked.joints, &skeleton, 0.0);
+        assert!(
+            found.jerk_largest.unwrap() < 1.3 * own.jerk_largest.unwrap(),
+            "{found:?} {own:?}"
+        );
+        assert!(found.foot_skating <= own.foot_skating, "{found:?} {own:?}");
+        // Feet that slide forward stand still and catch up within their step.
+        let slid = sliding_walk(&skeleton, 0.15);
+        let locked = lock_joints(&slid, &walk, &skeleton, &rule, Planted::AsSeen, 0.0).unwrap();
+        let found = BodyQuality::of(&locked.joints, &skeleton, 0.0);
+        assert!(
+            locked.after < 0.6 * locked.before,
+            "{} {}",
+            locked.before,
+            locked.after
+        );
+        assert!(
+            found.jerk_largest.unwrap() < 2.0 * own.jerk_largest.unwrap(),
+            "{found:?} {own:?}"
+        );
+        assert_eq!(found.floating, own.floating);
+    }
+
+    #[test]
     fn a_body_that_never_stands_is_left_as_it_is() {
         let skeleton = Skeleton::humanml3d();
         let walk = sliding_walk(&skeleton, -0.4);
         let above = walk.as_slice().iter().map(|[x, y, z]| [*x, y + 0.3, *z]);
         let flying = Joints::new(above.collect(), 22).unwrap();
         let rule = ContactRule::default();
-        let locked = lock_joints(&flying, &flying, &skeleton, &rule, 0.0).unwrap();
+        let locked = lock_joints(&flying, &flying, &skeleton, &rule, Planted::Still, 0.0).unwrap();
         assert_eq!(locked.joints, flying);
-        // On a floor at that height the body stands as often as in the original walk.
-        let on_floor = lock_joints(&flying, &flying, &skeleton, &rule, 0.3).unwrap();
-        let own = lock_joints(&walk, &walk, &skeleton, &rule, 0.0).unwrap();
+        // On a floor at that height it stands as often as the walk does on its own.
+        let on_floor =
+            lock_joints(&flying, &flying, &skeleton, &rule, Planted::Still, 0.3).unwrap();
+        let own = lock_joints(&walk, &walk, &skeleton, &rule, Planted::Still, 0.0).unwrap();
         assert!(own.in_contact > 0.1 && on_floor.in_contact == own.in_contact);
         assert_eq!(
             (locked.in_contact, locked.before, locked.missed),
             (0.0, 0.0, 0.0)
         );
-        // The contacts are those of the other joints.
-        let locked = lock_joints(&flying, &walk, &skeleton, &ContactRule::default(), 0.0).unwrap();
+        // Contacts of other joints count.
+        let locked = lock_joints(
+            &flying,
+            &walk,
+            &skeleton,
+            &ContactRule::default(),
+            Planted::Still,
+            0.0,
+        )
+        .unwrap();
         assert!(locked.after < 1e-6 && locked.joints != flying);
         let short = Joints::new(walk.as_slice()[..22].to_vec(), 22).unwrap();
-        assert!(lock_joints(&walk, &short, &skeleton, &ContactRule::default(), 0.0).is_err());
-        assert!(lock_joints(&walk, &walk, &Skeleton::kit(), &ContactRule::default(), 0.0).is_err());
+        assert!(
+            lock_joints(
+                &walk,
+                &short,
+                &skeleton,
+                &ContactRule::default(),
+                Planted::Still,
+                0.0
+            )
+            .is_err()
+        );
+        assert!(
+            lock_joints(
+                &walk,
+                &walk,
+                &Skeleton::kit(),
+                &ContactRule::default(),
+                Planted::Still,
+                0.0
+            )
+            .is_err()
+        );
     }
 }

@@ -7,13 +7,14 @@
 //! [`ContactRule::contacts`] finds contacts; [`lock_joints`] does both for joints of a skeleton.
 
 mod contacts;
+mod ease;
 mod locked_joints;
 
 #[cfg(test)]
 mod tests;
 
 pub use contacts::{ContactRule, StepRule, runs, steps, without_short_runs};
-pub use locked_joints::{LockedJoints, lock_joints};
+pub use locked_joints::{LockedJoints, Planted, lock_joints};
 
 use std::ops::Range;
 
@@ -25,9 +26,11 @@ use crate::vector::{length, minus, plus};
 /// Straighter legs stay straight.
 const STRETCH: f64 = 0.9999;
 
-/// If the knee's distance from the leg's line is below this share of the thigh, the sole decides
-/// the knee's side.
-const STRAIGHT: f64 = 0.01;
+/// Longest leg of an eased correction as a share of its bones: straighter knees snap.
+const SUPPLE: f64 = 0.995;
+
+/// With the knee nearer to the leg's line than this share of the thigh, the sole decides its side.
+const STRAIGHT: f64 = 0.1;
 
 /// A leg, by the indices of its joints.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
@@ -54,6 +57,29 @@ impl Leg {
             ankle,
             sole,
         })
+    }
+
+    /// Shortest and longest distance of the ankle from the hip with bones as in `frame`; a leg that
+    /// is longer than `stretch` of its bones may stay so.
+    fn reach(&self, frame: &[[f64; 3]], stretch: f64) -> [f64; 2] {
+        let bone = |a: usize, b: usize| length(minus(frame[a], frame[b]));
+        let (thigh, shin) = (bone(self.hip, self.knee), bone(self.knee, self.ankle));
+        let longest = (stretch * (thigh + shin)).max(bone(self.hip, self.ankle));
+        let shortest = (thigh - shin).abs() + (1.0 - STRETCH) * thigh.min(shin);
+        [shortest.min(longest), longest]
+    }
+
+    /// The nearest correction of the sole's position in `frame` that the leg reaches without
+    /// lifting the foot: its ground position gives way before its height (+y up).
+    fn reachable(&self, frame: &[[f64; 3]], by: [f64; 3]) -> [f64; 3] {
+        let [_, longest] = self.reach(frame, SUPPLE);
+        let now = minus(frame[self.ankle], frame[self.hip]);
+        let [x, y, z] = plus(now, by);
+        // A height that is out of reach stays as it was.
+        let y = if y.abs() < longest { y } else { now[1] };
+        let (ground, most) = (x.hypot(z), (longest * longest - y * y).max(0.0).sqrt());
+        let share = if ground > most { most / ground } else { 1.0 };
+        minus([share * x, y, share * z], now)
     }
 }
 
@@ -171,9 +197,8 @@ fn bend(frame: &mut [[f64; 3]], parents: &[Option<usize>], leg: &Leg, by: [f64; 
     if by == [0.0; 3] || thigh == 0.0 || shin == 0.0 || distance == 0.0 {
         return still;
     }
-    let shortest = (thigh - shin).abs() + (1.0 - STRETCH) * thigh.min(shin);
-    let longest = (STRETCH * (thigh + shin)).max(length(minus(ankle, hip)));
-    let reached = distance.clamp(shortest.min(longest), longest);
+    let [shortest, longest] = leg.reach(frame, STRETCH);
+    let reached = distance.clamp(shortest, longest);
     let along = wanted.map(|value| value / distance);
     let across = |vector: [f64; 3]| {
         let inner: f64 = (0..3).map(|axis| vector[axis] * along[axis]).sum();

@@ -5,6 +5,7 @@
 //! [`text_motion`] of motions and captions.
 
 mod beats;
+mod body_quality;
 mod bootstrap;
 mod diversity;
 mod frechet;
@@ -17,6 +18,7 @@ mod transitions;
 mod variety;
 
 pub use beats::{BEAT_SIGMA, beat_alignment, chance_alignment, kinematic_beats, speed_peaks};
+pub use body_quality::{BodyQuality, FLOATING};
 pub use bootstrap::Estimate;
 pub use diversity::{diversity, feature_diversity, trajectory_distance};
 pub use frechet::{FeatureMoments, frechet_distance, trajectory_features};

@@ -6,7 +6,7 @@ use kinegrad_random::Key;
 
 use super::headings::without_sway;
 use super::{Warp, between, placed};
-use crate::feet::{ContactRule, lock_joints};
+use crate::feet::{ContactRule, Planted, lock_joints};
 use crate::humanml::extract::{canonicalize, extrapolated};
 use crate::humanml::{Extraction, FeatureError, Features, Joints, Skeleton};
 
@@ -17,7 +17,7 @@ const AMPLITUDE: f64 = 0.5;
 /// Shortest and longest wave, metres.
 const WAVES: [f64; 2] = [2.0, 6.0];
 /// Allowed distance of a locked foot from its contact position, metres.
-const MISSED: f64 = 0.05;
+const MISSED: f64 = 0.08;
 
 /// A bend of a trajectory: the direction is rotated by an angle that depends on the arc length.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -89,7 +89,14 @@ impl Bend {
     ) -> Result<Features, FeatureError> {
         let joints = features.joints();
         let bent = self.apply(&joints, skeleton.description().fps);
-        let locked = lock_joints(&bent, &joints, skeleton, &ContactRule::default(), 0.0)?;
+        let locked = lock_joints(
+            &bent,
+            &joints,
+            skeleton,
+            &ContactRule::default(),
+            Planted::AsSeen,
+            0.0,
+        )?;
         if locked.missed > MISSED {
             return Ok(features.to_relative());
         }

@@ -29,7 +29,7 @@ pub use course::{ArcLengthMode, Course};
 pub use error::PathError;
 pub use headings::{PathFeatures, headings_of, headings_of_gait, unwrapped, wrapped};
 pub use loss::{PathLoss, PathLossConfig, root_channels};
-pub use measures::{PathReport, distance_from, slide};
+pub use measures::{PathReport, distance_from, slide, travelled};
 pub use plan::{CurveKind, PathPlan};
 pub use polyline::{PathPoint, Polyline};
 pub use smoothing::{Edges, HEADING_ORDER, HEADING_WINDOW, savgol, savgol_weights, smoothed};

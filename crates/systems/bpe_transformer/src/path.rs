@@ -56,7 +56,7 @@ impl Default for PathConfig {
             yaw: true,
             through_network: true,
             guidance_step_size: None,
-            max_shift: 10.0,
+            max_shift: 2.0,
             stop_timestep: 0,
             loss: PathLossConfig::default(),
         }

@@ -28,6 +28,8 @@ const SHORTEST: f64 = 2.0;
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct PathFollowingReport {
     pub motions: usize,
+    /// Share of the asked distance that the root travels along the path.
+    pub progress: Option<f64>,
     /// Mean distance of the root from the path, meters.
     pub mean_distance: Option<f64>,
     /// Mean over motions of the root's largest distance from the path, meters.
@@ -40,8 +42,12 @@ pub(super) struct PathFollowingReport {
     pub slide: Option<f64>,
     /// Share of the frame steps in which a toe slides, as published.
     pub foot_skating: Option<f64>,
+    /// Share of the frames whose lowest joint is more than 3 cm above the floor.
+    pub floating: Option<f64>,
     pub jerk: Option<f64>,
-    /// Fréchet distance between the mean normalized features of samples and clips.
+    /// 99th percentile of the jerk.
+    pub jerk_99: Option<f64>,
+    /// Fréchet distance of the mean normalised features from those of the clips.
     pub frechet_distance: Option<f64>,
     pub seconds: Option<f64>,
 }
@@ -51,13 +57,16 @@ impl PathFollowingReport {
         let each = |of: &dyn Fn(&PathReport) -> Option<f64>| mean(reports.iter().map(of));
         Self {
             motions: reports.len(),
+            progress: each(&|report| Some(report.travelled / report.asked)),
             mean_distance: each(&|report| Some(report.mean_distance)),
             largest_distance: each(&|report| Some(report.largest_distance)),
             mean_error: each(&|report| Some(report.mean_error)),
             heading_error: each(&|report| report.heading_error),
             slide: each(&|report| report.slide),
-            foot_skating: each(&|report| report.foot_skating),
-            jerk: each(&|report| report.jerk),
+            foot_skating: each(&|report| report.body.foot_skating),
+            floating: each(&|report| report.body.floating),
+            jerk: each(&|report| report.body.jerk),
+            jerk_99: each(&|report| report.body.jerk_99),
             frechet_distance,
             seconds,
         }
@@ -67,13 +76,16 @@ impl PathFollowingReport {
 impl Metrics for PathFollowingReport {
     fn rows(&self) -> Vec<Number> {
         Number::list([
+            ("progress", self.progress, ""),
             ("distance from the path", self.mean_distance, ", m"),
             ("largest distance", self.largest_distance, ", m"),
             ("error in time", self.mean_error, ", m"),
             ("heading error", self.heading_error, ", degrees"),
             ("slide", self.slide, ", m/frame"),
             ("foot skating", self.foot_skating, ""),
+            ("floating frames", self.floating, ""),
             ("jerk", self.jerk, ", m/s³"),
+            ("jerk, 99th percentile", self.jerk_99, ", m/s³"),
             ("Fréchet distance", self.frechet_distance, ""),
             ("seconds", self.seconds, ""),
         ])
@@ -154,7 +166,7 @@ pub(super) fn evaluate(
     for (walk, (report, joints, taken)) in chosen.into_iter().zip(samples) {
         seconds += taken;
         let PathTarget { line, course, .. } = &walk.target;
-        let real = PathReport::of(&walk.joints, &skeleton, line, course)?;
+        let real = PathReport::of(&walk.joints, &skeleton, line, course, 0.0)?;
         let both = [(report, &joints), (real, &walk.joints)];
         for (side, (report, joints)) in both.into_iter().enumerate() {
             reports[side].push(report);

@@ -176,11 +176,14 @@ impl Sampler for Compositions<'_> {
                         let found = finish(&path.target, &features, &skeleton, settings)?;
                         if found.legs_short > LEGS_SHORT {
                             run.sink.warning(&format!(
-                                "legs are up to {:.2} m too short to stand where they stood: the \
-                                 path is longer than the root path of the motion, or turns more \
-                                 sharply",
+                                "feet in contact slide by up to {:.2} m, because the legs do not \
+                                 reach: the path is longer than the root path of the motion, or turns \
+                                 more sharply",
                                 found.legs_short
                             ));
+                        }
+                        if let Some(cut) = found.cut {
+                            run.sink.warning(&cut.warning(self.jobs[job].frames, fps));
                         }
                         let features = match settings.method.moves_afterwards() {
                             true => features_of(&found.joints, &skeleton, features.root())?,

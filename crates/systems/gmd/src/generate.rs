@@ -124,6 +124,7 @@ pub struct ClipGenerator {
     space: FeatureSpace,
     text: TextInput,
     state: State,
+    steering: SteeringConfig,
     channels: usize,
     /// Maximum number of frames of the network.
     longest: Option<usize>,
@@ -153,6 +154,7 @@ impl ClipGenerator {
             text: text_input(&state.config),
             channels,
             longest: own.model.network.longest(),
+            steering: own.steering.clone(),
             device: device.clone(),
             state,
         })
@@ -163,8 +165,13 @@ impl ClipGenerator {
         &self.state.config
     }
 
-    fn steering(&self) -> &SteeringConfig {
-        &self.config().own::<GmdConfig>().steering
+    /// A generator whose goals are paths with a position for each frame.
+    #[must_use]
+    pub fn along_paths(self) -> Self {
+        Self {
+            steering: self.steering.along_path(),
+            ..self
+        }
     }
 
     /// [`sample`](Self::sample) in one attempt.
@@ -182,7 +189,7 @@ impl ClipGenerator {
         let lengths: Vec<usize> = requests.iter().map(ClipRequest::length).collect();
         let frames = lengths.iter().copied().max().unwrap_or(0);
         let own = sampled_frames(self.config(), frames);
-        let steering = self.steering();
+        let steering = &self.steering;
         let stage = Stage {
             texts: &texts,
             goals: &goals,
@@ -211,7 +218,7 @@ impl ClipGenerator {
             let of_first = SteeringConfig {
                 padding: match follows_behind {
                     true => Padding::Sampled,
-                    false => model.steering().padding,
+                    false => model.steering.padding,
                 },
                 ..steering.clone()
             };

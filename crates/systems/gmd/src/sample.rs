@@ -219,7 +219,10 @@ impl<'a> Clips<'a> {
 
     fn record(&self, run: &Run<'_>, job: usize, index: usize) -> Record {
         let own = &self.trained.config().own::<GmdConfig>().steering;
-        let (padding, steering) = own.record();
+        let (padding, steering) = match &self.path {
+            Some(_) => own.along_path().record(),
+            None => own.record(),
+        };
         let steered = self.clips[job].goal.is_some();
         let mut record = run.record(job, index);
         record.sampler.padding = Some(padding);
@@ -301,7 +304,12 @@ impl Sampler for Clips<'_> {
             false => self.jobs.iter().flat_map(of_job).collect(),
         };
         let trajectory = self.trajectory.as_ref().map(ClipGenerator::load);
-        let samples = ClipGenerator::load(self.trained)?.sample(
+        let generator = ClipGenerator::load(self.trained)?;
+        let generator = match &self.path {
+            Some(_) => generator.along_paths(),
+            None => generator,
+        };
+        let samples = generator.sample(
             trajectory.transpose()?.as_ref(),
             &requests,
             &self.trained.config().sampling,

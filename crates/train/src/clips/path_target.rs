@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use kinegrad_data::file::read_text;
 use kinegrad_motion::Statistics;
-use kinegrad_motion::feet::{ContactRule, lock_joints};
+use kinegrad_motion::feet::{ContactRule, Planted, lock_joints};
 use kinegrad_motion::humanml::{Extraction, Features, Joints, Root, Skeleton};
 use kinegrad_motion::path::{
     ArcLengthMode, Course, Edges, HEADING_ORDER, HEADING_WINDOW, HeadingMode, PathError, PathPlan,
@@ -126,12 +126,7 @@ impl PathTarget {
         let track: Vec<[f64; 2]> = joints.track(0).iter().map(|[x, _, z]| [*x, *z]).collect();
         let turns = vec![self.headings[0]; track.len()];
         let joints = placed(joints, &self.on_path(&track), &turns)?;
-        let report = PathReport::of(&joints, skeleton, &self.line, &self.course)?;
-        Ok(Followed {
-            joints,
-            report,
-            legs_short: 0.0,
-        })
+        self.measured(joints, skeleton, 0.0)
     }
 
     /// Moves a motion near the path onto the path frame by frame, at the pace of the course. The
@@ -163,34 +158,51 @@ impl PathTarget {
         });
         let moved: Vec<[f64; 2]> = moved.collect();
         let moved = placed(joints, &moved, &turns)?;
-        self.with_feet(moved, joints, skeleton, lock_feet, &self.line)
+        self.with_feet(moved, joints, skeleton, lock_feet)
     }
 
-    /// `moved` with the feet locked as in `before`, if requested, and the deviation from `line`.
+    fn measured(
+        &self,
+        joints: Joints,
+        skeleton: &Skeleton,
+        legs_short: f64,
+    ) -> Result<Followed, Error> {
+        let report = PathReport::of(&joints, skeleton, &self.line, &self.course, 0.0)?;
+        Ok(Followed {
+            joints,
+            report,
+            legs_short,
+            cut: None,
+        })
+    }
+
+    /// `moved` with the feet of `before` locked, if requested, and its deviation from the path.
     fn with_feet(
         &self,
         moved: Joints,
         before: &Joints,
         skeleton: &Skeleton,
         lock_feet: bool,
-        line: &Polyline,
     ) -> Result<Followed, Error> {
         let (joints, legs_short) = match lock_feet {
             true => {
-                let locked = lock_joints(&moved, before, skeleton, &ContactRule::default(), 0.0)?;
+                let locked = lock_joints(
+                    &moved,
+                    before,
+                    skeleton,
+                    &ContactRule::default(),
+                    Planted::AsSeen,
+                    0.0,
+                )?;
                 (locked.joints, locked.missed)
             }
             false => (moved, 0.0),
         };
-        let report = PathReport::of(&joints, skeleton, line, &self.course)?;
-        Ok(Followed {
-            joints,
-            report,
-            legs_short,
-        })
+        self.measured(joints, skeleton, legs_short)
     }
 
-    /// Moves an unconditional motion onto the path. Feet are locked if `lock_feet` is true.
+    /// Moves an unconditional motion onto the path; locks feet with `lock_feet`. A path that is
+    /// longer than [`LONGEST_STRIDE`] times the motion's own is followed so far.
     ///
     /// # Errors
     /// If the motion does not fit the skeleton.
@@ -200,16 +212,22 @@ impl PathTarget {
         skeleton: &Skeleton,
         lock_feet: bool,
     ) -> Result<Followed, Error> {
-        // The part of the path that the motion reaches at the motion's speed.
-        let line = self
-            .line
-            .up_to(self.course.metres.last().copied().unwrap_or(0.0));
+        let asked = self.course.metres.last().copied().unwrap_or(0.0);
+        let own = Course::through(root_trajectory(
+            &joints.track(0),
+            skeleton.description().fps,
+        ));
+        let walked = own.metres.last().copied().unwrap_or(0.0);
+        let reached = asked.min(LONGEST_STRIDE * walked);
+        let line = self.line.up_to(reached);
         let warped = Self::WARP.apply(joints, skeleton, &line);
         let warped = warped.map_err(|error| {
             let message = format!("the motion cannot be moved onto the path: {error}");
             Error::usage(message, "docs/paths.md")
         })?;
-        self.with_feet(warped.joints, joints, skeleton, lock_feet, &line)
+        let followed = self.with_feet(warped.joints, joints, skeleton, lock_feet)?;
+        let cut = (reached < asked).then_some(Cut { asked, walked });
+        Ok(Followed { cut, ..followed })
     }
 }
 
@@ -260,6 +278,37 @@ pub fn root_trajectory(places: &[[f64; 3]], fps: f64) -> Vec<[f64; 2]> {
     smoothed(&track, window, 3)
 }
 
+/// Largest ratio of a warped motion's steps to its own: longer ones slide.
+pub const LONGEST_STRIDE: f64 = 1.3;
+
+/// A path that is longer than the motion's legs reach.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cut {
+    /// Distance that the path asks for, metres.
+    pub asked: f64,
+    /// Distance that the motion walks by itself, metres.
+    pub walked: f64,
+}
+
+impl Cut {
+    /// The warning for a motion of `frames` frames.
+    pub fn warning(&self, frames: usize, fps: f64) -> String {
+        let Self { asked, walked } = self;
+        let reached = LONGEST_STRIDE * walked;
+        let hint = match *walked > 0.2 * asked {
+            true => {
+                let needed = frames as f64 * asked / walked;
+                format!("give it {:.1} seconds ({needed:.0} frames)", needed / fps)
+            }
+            false => "ask for motion that walks".to_owned(),
+        };
+        format!(
+            "the path asks for {asked:.2} m and the motion walks {walked:.2} m: it follows the first \
+             {reached:.2} m, {LONGEST_STRIDE} times its own steps; {hint}, or set the path's `speed`"
+        )
+    }
+}
+
 /// A motion on its path.
 #[derive(Clone, Debug)]
 pub struct Followed {
@@ -270,6 +319,8 @@ pub struct Followed {
     /// Largest distance between a foot and its locked position, meters; nonzero if a leg is too
     /// short.
     pub legs_short: f64,
+    /// The lengths of a path that was followed in part.
+    pub cut: Option<Cut>,
 }
 
 /// The features of joints on a path, with the bone lengths of these joints.

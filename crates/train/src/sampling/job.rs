@@ -143,11 +143,22 @@ impl Run<'_> {
     }
 }
 
-/// A description of a motion's deviation from its path.
+/// A description of how a motion follows its path, and of its body.
 fn deviation(report: &PathReport) -> String {
+    let mut text = format!(
+        "travelled {:.2} of {:.2} m; {:.3} m from the path, at most {:.3} m; {:.2} m from its place in \
+         time, at most {:.2} m",
+        report.travelled,
+        report.asked,
+        report.mean_distance,
+        report.largest_distance,
+        report.mean_error,
+        report.largest_error
+    );
     let heading = report.heading_error;
-    let heading = heading.map(|degrees| format!("; heading {degrees:.0} degrees from it"));
-    let (mean, largest) = (report.mean_distance, report.largest_distance);
-    let heading = heading.unwrap_or_default();
-    format!("{mean:.3} m from the path, at most {largest:.3} m{heading}")
+    text.extend(heading.map(|degrees| format!("; heading {degrees:.0} degrees from it")));
+    for (name, value, digits) in report.body.rows() {
+        text.extend(value.map(|value| format!("; {name} {value:.digits$}")));
+    }
+    text
 }
