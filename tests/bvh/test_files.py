@@ -85,7 +85,7 @@ def capture(path, frames=40):
 
     def joint(index):
         name, parent, offset, order = CAPTURE[index]
-        lines.append(("ROOT " if parent is None else "JOINT ") + name + " {")
+        lines.extend([("ROOT " if parent is None else "JOINT ") + name, "{"])
         lines.append("OFFSET %g %g %g" % offset)
         names = [f"{axis}position" for axis in "XYZ" if parent is None]
         names += [f"{axis}rotation" for axis in order]
@@ -93,7 +93,9 @@ def capture(path, frames=40):
         below = [child for child, other in enumerate(CAPTURE) if other[1] == index]
         for child in below:
             joint(child)
-        lines.append("}" if below else "End Site { OFFSET 0 0 4 } }")
+        if not below:
+            lines.extend(["End Site", "{", "OFFSET 0 0 4", "}"])
+        lines.append("}")
 
     joint(0)
     lines += ["MOTION", f"Frames: {frames}", "Frame Time: 0.05"]
