@@ -70,6 +70,54 @@ def body(frames=60):
     return places.astype(np.float32)
 
 
+# A capture: name, parent, OFFSET in centimetres with z up, order of the angles.
+CAPTURE = [("Hips", None, (0, 0, 0), "ZXY"), ("Spine", 0, (0, 1, 12), "XYZ"),
+           ("LeftArm", 1, (18, 0, 20), "YXZ"), ("LeftHand", 2, (26, 0, -3), "ZYX"),
+           ("Head", 1, (0, 2, 30), "XZY"), ("LeftFoot", 0, (9, 0, -90), "YZX")]
+
+
+def capture(path, frames=40):
+    """Writes a BVH file; its angles [frames, joints, 3] and places of the root [frames, 3]."""
+    rng = np.random.default_rng(4)
+    angles = np.cumsum(rng.normal(0, 9, (frames, len(CAPTURE), 3)), 0)
+    places = np.cumsum(rng.normal(0, 2, (frames, 3)), 0) + [30, -40, 95]
+    lines = ["HIERARCHY"]
+
+    def joint(index):
+        name, parent, offset, order = CAPTURE[index]
+        lines.extend([("ROOT " if parent is None else "JOINT ") + name, "{"])
+        lines.append("OFFSET %g %g %g" % offset)
+        names = [f"{axis}position" for axis in "XYZ" if parent is None]
+        names += [f"{axis}rotation" for axis in order]
+        lines.append(f"CHANNELS {len(names)} " + " ".join(names))
+        below = [child for child, other in enumerate(CAPTURE) if other[1] == index]
+        for child in below:
+            joint(child)
+        if not below:
+            lines.extend(["End Site", "{", "OFFSET 0 0 4", "}"])
+        lines.append("}")
+
+    joint(0)
+    lines += ["MOTION", f"Frames: {frames}", "Frame Time: 0.05"]
+    numbers = np.concatenate([places, angles.reshape(frames, -1)], 1)
+    lines += [" ".join(f"{number:.6f}" for number in row) for row in numbers]
+    path.write_text("\n".join(lines) + "\n")
+    return angles, places
+
+
+def turns(order, angles):
+    """Rotation matrices [frames, 3, 3] of degrees [frames, 3] about the axes of `order`."""
+    turned = np.tile(np.eye(3), (len(angles), 1, 1))
+    for axis, degrees in zip(order, np.radians(angles).T):
+        i = "XYZ".index(axis)
+        j, k = (i + 1) % 3, (i + 2) % 3
+        one = np.tile(np.eye(3), (len(angles), 1, 1))
+        one[:, j, j] = one[:, k, k] = np.cos(degrees)
+        one[:, k, j], one[:, j, k] = np.sin(degrees), -np.sin(degrees)
+        turned = turned @ one
+    return turned
+
+
 def phrase(frames=150):
     """A phrase [frames, 25] that leans, and turns more than once around."""
     seconds = np.arange(frames) / 30
@@ -111,6 +159,29 @@ class Files(unittest.TestCase):
         joints = gltf.positions(glb)
         for index, name in enumerate(NAMES):
             self.near(joints[name], motion[:, index], 1e-5)
+
+    def test_a_glb_of_a_capture_keeps_its_hierarchy_angles_and_rest_pose(self):
+        angles, places = capture(self.folder / "take.bvh")
+        self.kinegrad("view", "take.bvh", "--units", "cm", "--up", "z", "--glb", "take.glb")
+        glb = gltf.Animation(self.folder / "take.glb")
+        nodes = {node.name: index for index, node in enumerate(glb.file.nodes)}
+        # The take and its skin.
+        self.assertEqual(len(glb.file.nodes), len(CAPTURE) + 2)
+        z_up = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+        for index, (name, _, offset, order) in enumerate(CAPTURE):
+            node = nodes[name]
+            below = [CAPTURE[child][0] for child, other in enumerate(CAPTURE) if other[1] == index]
+            children = glb.file.nodes[node].children or []
+            self.assertEqual([glb.file.nodes[child].name for child in children], below)
+            known = z_up @ turns(order, angles[:, index]) @ z_up.T
+            self.near(gltf.matrices(glb.at(node, "rotation")), known, 1e-6)
+            self.near(np.array(glb.at_rest(node, "translation")), z_up @ offset / CENTIMETRES, 1e-7)
+            self.assertEqual(list(glb.at_rest(node, "rotation")), [0, 0, 0, 1])
+        self.near(glb.at(nodes["Hips"], "translation"), places @ z_up.T / CENTIMETRES, 1e-6)
+        # Joints as other readers of the BVH have them.
+        joints = gltf.positions(self.folder / "take.glb")
+        for name, known in by_bvhio(self.folder / "take.bvh").items():
+            self.near(joints[name], known @ z_up.T / CENTIMETRES, 1e-5)
 
     def test_a_phrase_is_where_the_array_has_it(self):
         motion = phrase()

@@ -357,8 +357,10 @@ def spots(page):
     return page.evaluate(f"""(() => {{
       const viewer = {FIRST};
       viewer.show();
-      return viewer.panes().map((pane) => {{
-        const [target, distance] = viewer.framing(pane);
+      const panes = viewer.panes();
+      const framings = viewer.framings(panes);
+      return panes.map((pane, index) => {{
+        const [target, distance] = framings[index];
         const view = viewer.camera.view(target, distance, pane);
         const places = pane.figures.flatMap((index) => viewer.joints(index, viewer.frameOf(index)));
         const along = (axis, place) => axis.reduce((sum, part, i) => sum + part * (place[i] - view.eye[i]), 0);
@@ -372,6 +374,7 @@ def spots(page):
           left: Math.min(...xs) - pane.x, right: pane.x + pane.width - Math.max(...xs),
           top: Math.min(...ys) - pane.y, bottom: pane.y + pane.height - Math.max(...ys),
           tall: (Math.max(...ys) - Math.min(...ys)) / pane.height, ground: pane.ground,
+          scale: view.scale / view.far, floor: view.at[1] - pane.ground,
         }};
       }});
     }})()""")
@@ -386,13 +389,18 @@ def test_figures_of_any_size_and_height_are_seen_whole(kinegrad, show, tmp_path)
     names = [f"{name}.npy" for name in figures]
     kinegrad("view", *names, "--out", "all.html", cwd=tmp_path)
     page = show(tmp_path / "all.html", width=1300, height=900)
-    for following in (False, True):
-        page.evaluate(f"{FIRST}.following = {str(following).lower()}")
+    for following, fitted in ((False, False), (False, True), (True, False), (True, True)):
+        page.evaluate(f"{FIRST}.following = {str(following).lower()}; {FIRST}.fitEach = {str(fitted).lower()}")
         for frame in (0, 20, 49):
             page.evaluate(f"{FIRST}.seek({frame})")
-            for name, seen in zip(figures, spots(page), strict=True):
+            seen_all = spots(page)
+            for name, seen in zip(figures, seen_all, strict=True):
                 assert min(seen[side] for side in ("left", "right", "top", "bottom")) > 0, (name, frame, seen)
-                assert not following or seen["tall"] > 0.3, (name, frame, seen)
+                assert not (following and fitted) or seen["tall"] > 0.3, (name, frame, seen)
+            # A metre is equally long in every pane, and every ground is equally low.
+            for key in ("scale", "floor"):
+                one = max(seen[key] for seen in seen_all) - min(seen[key] for seen in seen_all) < 1e-6
+                assert one == (not fitted), (key, seen_all)
     # Only motions with another origin have their own ground; nothing is moved.
     grounds = [seen["ground"] for seen in spots(page)]
     lowest = min(figures["high"][1::3])
@@ -404,6 +412,61 @@ def test_figures_of_any_size_and_height_are_seen_whole(kinegrad, show, tmp_path)
     page.evaluate(f"{FIRST}.sideBySide = false")
     [seen] = spots(page)
     assert min(seen[side] for side in ("left", "right", "top", "bottom")) > 0, seen
+
+
+def test_a_giant_is_as_much_larger_as_it_is(kinegrad, show, tmp_path):
+    write_npy(tmp_path / "one.npy", (20, 22, 3), walk(20))
+    write_npy(tmp_path / "two.npy", (20, 22, 3), lift(walk(20), 0, 2))
+    kinegrad("view", "one.npy", "two.npy", "--out", "page.html", cwd=tmp_path)
+    for width in (1280, 400):
+        page = show(tmp_path / "page.html", width=width)
+        one, two = spots(page)
+        assert one["tall"] / two["tall"] == pytest.approx(0.5, abs=0.1)
+        page.get_by_role("button", name="Fit each").click()
+        one, two = spots(page)
+        assert one["tall"] / two["tall"] == pytest.approx(1, abs=0.1)
+        page.keyboard.press("e")
+        one, two = spots(page)
+        assert one["tall"] / two["tall"] == pytest.approx(0.5, abs=0.1)
+
+
+def test_contacts_name_their_figure_and_joint(kinegrad, show, tmp_path):
+    for name in ("one", "two"):
+        write_npy(tmp_path / f"{name}.npy", (20, 22, 3), walk(20))
+    kinegrad("view", "one.npy", "two.npy", "--out", "page.html", cwd=tmp_path)
+    kinegrad("view", "one.npy", cwd=tmp_path)
+    labels = f"{FIRST}.charts[0].rows.map(({{ label }}) => label)"
+    assert show(tmp_path / "page.html").evaluate(labels)[::4] == ["one: left_ankle", "two: left_ankle"]
+    assert show(tmp_path / "one.html").evaluate(labels)[0] == "left_ankle"
+
+
+def test_curves_of_a_long_motion_show_a_window_around_the_cursor(kinegrad, show, tmp_path):
+    frames = 1600
+    write_npy(tmp_path / "long.npy", (frames, 22, 3), walk(frames))
+    kinegrad("view", "long.npy", cwd=tmp_path)
+    page = show(tmp_path / "long.html")
+    within = f"{FIRST}.scene.range"
+    assert page.evaluate(within) == [0, 10]
+    page.evaluate(f"{FIRST}.seek(600)")
+    start, end = page.evaluate(within)
+    assert (start, end) == (pytest.approx(25), pytest.approx(35))
+    area = page.locator(".kg-area").nth(1)
+    area.scroll_into_view_if_needed()
+    box = area.bounding_box()
+    cursor = lambda: page.locator(".kg-cursor").nth(1).bounding_box()["x"]
+    assert cursor() == pytest.approx(box["x"] + box["width"] / 2, abs=3)
+    # The window stands still while it is dragged in.
+    page.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + 30)
+    page.mouse.down()
+    assert page.evaluate(f"{FIRST}.time") == pytest.approx(27.5, abs=0.1)
+    page.mouse.move(box["x"] + 0.75 * box["width"], box["y"] + 30, steps=5)
+    assert page.evaluate(f"{FIRST}.time") == pytest.approx(32.5, abs=0.1)
+    assert page.evaluate(within) == [start, end]
+    page.mouse.up()
+    until(page, f"{within}[0] > 27")
+    page.get_by_role("button", name="Curves over the whole length").click()
+    until(page, f"{within}[1] === {frames / 20}")
+    assert cursor() == pytest.approx(box["x"] + box["width"] * 32.5 / 80, abs=4)
 
 
 def test_sixteen_figures_have_curves_that_are_told_apart(kinegrad, show, tmp_path):

@@ -11,9 +11,9 @@ use kinegrad_capture::Bvh;
 use kinegrad_motion::goal::{Goal, Obstacle};
 use kinegrad_motion::humanml::Joints;
 use kinegrad_motion::phrase::QUATERNION;
-use kinegrad_motion::{CHANNELS, Phrase, Phrases, Representation};
+use kinegrad_motion::{CHANNELS, Phrase, Phrases, Quaternion, Representation};
 use kinegrad_report::Panel;
-use kinegrad_report::scene::{Curves, Floor, Scene, SceneObject};
+use kinegrad_report::scene::{Curves, Floor, Hierarchy, Scene, SceneObject};
 use kinegrad_train::clips::read_goal;
 use kinegrad_train::{Error, Systems};
 
@@ -161,8 +161,27 @@ pub fn of_motion(motion: &Motion, name: String, fps: f64) -> Result<SceneObject,
             let fps = 1.0 / capture.bvh.frame_time();
             let places = capture.joints()?;
             let names = joint_names(&capture.bvh);
-            Ok(body(name, fps, &places, names, parents, None))
+            Ok(SceneObject {
+                hierarchy: Some(hierarchy(&capture.in_metres()?)),
+                ..body(name, fps, &places, names, parents, None)
+            })
         }
+    }
+}
+
+/// Rest pose and rotations of a file in metres with +y up.
+fn hierarchy(bvh: &Bvh) -> Hierarchy {
+    let poses = || (0..bvh.frames()).flat_map(|t| bvh.local_poses(t));
+    let single = |place: [f64; 3]| place.map(|value| value as f32);
+    let parts = |q: Quaternion| [q.w, q.x, q.y, q.z].map(|part| part as f32);
+    Hierarchy {
+        offsets: bvh
+            .joints()
+            .iter()
+            .map(|joint| single(joint.offset))
+            .collect(),
+        translations: poses().map(|pose| single(pose.position)).collect(),
+        rotations: poses().map(|pose| parts(pose.orientation)).collect(),
     }
 }
 

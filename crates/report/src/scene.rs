@@ -40,6 +40,19 @@ pub struct SceneObject {
     pub curves: Vec<Curves>,
     /// Source frames, for a motion made from examples.
     pub origins: Option<Origins>,
+    /// Rest pose and rotations, if its file has them.
+    pub hierarchy: Option<Hierarchy>,
+}
+
+/// Rest pose and motion of the joints within their parents; every joint after its parent.
+#[derive(Clone, Debug)]
+pub struct Hierarchy {
+    /// Rest position of each joint, meters, `[joints, 3]`.
+    pub offsets: Vec<[f32; 3]>,
+    /// Positions, meters, `[frames, joints, 3]`.
+    pub translations: Vec<[f32; 3]>,
+    /// Rotations (w, x, y, z), `[frames, joints, 4]`.
+    pub rotations: Vec<[f32; 4]>,
 }
 
 /// Source frames of a motion made from examples.
@@ -119,6 +132,13 @@ impl SceneObject {
     /// Length in seconds.
     pub fn seconds(&self) -> f64 {
         self.frames() as f64 / self.fps
+    }
+
+    /// The joints whose parent is `joint`.
+    pub(crate) fn children(&self, joint: usize) -> Vec<usize> {
+        let all = self.parents.iter().enumerate();
+        let own = all.filter(|(_, parent)| **parent == Some(joint));
+        own.map(|(child, _)| child).collect()
     }
 
     /// Position of a joint in a frame.

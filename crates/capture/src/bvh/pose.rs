@@ -13,14 +13,22 @@ impl Bvh {
     /// Panics if there is no frame `t`.
     pub fn world(&self, t: usize) -> Vec<RootPose> {
         let mut world: Vec<RootPose> = Vec::with_capacity(self.joints.len());
-        for joint in &self.joints {
-            let local = self.local(joint, t);
+        for (joint, local) in self.joints.iter().zip(self.local_poses(t)) {
             world.push(match joint.parent {
                 None => local,
                 Some(parent) => within(world[parent], local),
             });
         }
         world
+    }
+
+    /// Place and orientation of every joint within its parent in frame `t`, `[joints]`, in the file's
+    /// units and axes.
+    ///
+    /// # Panics
+    /// Panics if there is no frame `t`.
+    pub fn local_poses(&self, t: usize) -> impl Iterator<Item = RootPose> {
+        self.joints.iter().map(move |joint| self.local(joint, t))
     }
 
     /// Place and orientation of a joint within its parent.

@@ -83,7 +83,16 @@ impl Capture {
 
     /// The same motion in centimeters with +y up.
     pub fn in_centimetres(&self) -> Result<Bvh, Error> {
-        let converted = self.bvh.converted(CENTIMETRES * self.metres, self.up);
+        self.converted(CENTIMETRES)
+    }
+
+    /// The same motion in metres with +y up.
+    pub fn in_metres(&self) -> Result<Bvh, Error> {
+        self.converted(1.0)
+    }
+
+    fn converted(&self, units_per_metre: f64) -> Result<Bvh, Error> {
+        let converted = self.bvh.converted(units_per_metre * self.metres, self.up);
         converted.map_err(unusable)
     }
 }

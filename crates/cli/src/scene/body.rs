@@ -47,8 +47,7 @@ pub fn figure(
         curves: curves(joints, fps),
         joint_names,
         parents,
-        orientations: None,
-        origins: None,
+        ..SceneObject::default()
     }
 }
 

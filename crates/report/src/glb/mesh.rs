@@ -34,11 +34,12 @@ impl Mesh {
         let mut mesh = Self::default();
         let places: Vec<[f32; 3]> = rig.joints.iter().map(|node| bind[*node]).collect();
         for (index, node) in rig.nodes.iter().enumerate() {
-            let Some(end) = node.bone_to else { continue };
-            let radius = object.bone_radius(end, &places);
-            if radius > 0.0 {
-                mesh.capsule([bind[index], places[end]], radius);
-                mesh.joints.resize(mesh.places.len(), index as u16);
+            for &end in &node.bones_to {
+                let radius = object.bone_radius(end, &places);
+                if radius > 0.0 {
+                    mesh.capsule([bind[index], places[end]], radius);
+                    mesh.joints.resize(mesh.places.len(), index as u16);
+                }
             }
         }
         for (joint, place) in places.iter().enumerate() {

@@ -3,10 +3,14 @@
 //!
 //! Units are meters, +y is up, and bodies face +z, as glTF prescribes. Each object is a tree of
 //! nodes below a node with the object's name; the translation of this node puts objects side by
-//! side. Every joint is a node with the joint's name. The bind pose is the first frame with
-//! identity rotations.
+//! side. Every joint is a node with the joint's name.
 //!
-//! Positions do not determine rotations. Each joint gets the shortest rotation, relative to its
+//! An object with a [`Hierarchy`](crate::scene::Hierarchy) has one node per joint and the rotations
+//! of its file. The bind pose, and the transform of the nodes at rest, is the rest pose of the file.
+//! A translation is animated only if it leaves the rest position.
+//!
+//! The positions of other objects do not determine rotations. The bind pose is then the first frame
+//! with identity rotations. Each joint gets the shortest rotation, relative to its
 //! parent's rotation, that points the bone at its child. A joint with several children gets the
 //! best-fitting rotation. Each bone of this joint begins with an extra node at the same position,
 //! which adds the remaining rotation and has a name like `pelvis_to_left_hip`. If a bone changes
@@ -72,8 +76,8 @@ fn add(document: &mut Document, object: &SceneObject, place: [f32; 3]) {
         let children: Vec<usize> = children.map(|(child, _)| first + child).collect();
         let mut node = json!({
             "name": joint.name,
-            "translation": joint.translations[0],
-            "rotation": joint.rotations[0].to_gltf(),
+            "translation": joint.rest.0,
+            "rotation": joint.rest.1.to_gltf(),
         });
         if !children.is_empty() {
             node["children"] = json!(children);
@@ -91,10 +95,10 @@ fn animate(document: &mut Document, object: &SceneObject, rig: &Rig, first: usiz
     for (index, joint) in rig.nodes.iter().enumerate() {
         let (translations, rotations) = (&joint.translations, &joint.rotations);
         let mut outputs = Vec::new();
-        if translations.iter().any(|value| *value != translations[0]) {
+        if translations.iter().any(|value| *value != joint.rest.0) {
             outputs.push(("translation", document.ranged(translations, None)));
         }
-        if rotations.iter().any(|value| *value != rotations[0]) {
+        if rotations.iter().any(|value| *value != joint.rest.1) {
             let rotations: Vec<[f32; 4]> = rotations.iter().map(|q| q.to_gltf()).collect();
             outputs.push(("rotation", document.ranged(&rotations, None)));
         }

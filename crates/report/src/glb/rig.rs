@@ -1,7 +1,7 @@
-//! Nodes with translations and rotations from joint positions.
+//! Nodes with translations and rotations, from a hierarchy or from joint positions.
 
 use super::rotation::Rotation;
-use crate::scene::SceneObject;
+use crate::scene::{Hierarchy, SceneObject};
 
 /// Deviation in meters below which a translation counts as constant: bones of fixed length need no
 /// animation.
@@ -15,70 +15,113 @@ pub(super) struct Rig {
 }
 
 /// An animated node.
-#[derive(Default)]
+#[derive(Clone)]
 pub(super) struct RigNode {
     pub name: String,
     pub parent: Option<usize>,
-    /// The joint that this node points at, if single.
-    pub bone_to: Option<usize>,
+    /// The joints at the ends of the node's bones.
+    pub bones_to: Vec<usize>,
     /// The joints that the node's rotation fits.
     fits: Vec<usize>,
     /// The joint at the node's position.
     at: usize,
+    /// Translation and rotation at rest.
+    pub rest: ([f32; 3], Rotation),
     /// Within the parent, one per frame.
     pub translations: Vec<[f32; 3]>,
     /// Within the parent, one per frame.
     pub rotations: Vec<Rotation>,
 }
 
+impl RigNode {
+    /// A node at a joint, without bones and motion.
+    fn new(object: &SceneObject, joint: usize) -> Self {
+        let name = object.joint_names.get(joint).cloned();
+        Self {
+            name: name.unwrap_or_else(|| format!("joint_{joint}")),
+            parent: None,
+            bones_to: Vec::new(),
+            fits: Vec::new(),
+            at: joint,
+            rest: ([0.0; 3], Rotation::IDENTITY),
+            translations: Vec::new(),
+            rotations: Vec::new(),
+        }
+    }
+}
+
 impl Rig {
     pub fn new(object: &SceneObject) -> Self {
+        if let Some(hierarchy) = &object.hierarchy {
+            return Self::of(object, hierarchy);
+        }
         let mut rig = Self::tree(object);
         let mut before = vec![Rotation::IDENTITY; rig.nodes.len()];
         for frame in 0..object.frames() {
             rig.pose(object, frame, &mut before);
         }
+        for node in &mut rig.nodes {
+            node.rest = (node.translations[0], node.rotations[0]);
+        }
         rig
+    }
+
+    /// One node per joint, with the motion of a hierarchy.
+    fn of(object: &SceneObject, hierarchy: &Hierarchy) -> Self {
+        let joints = 0..object.joints();
+        let nodes = joints.clone().map(|joint| {
+            let offset = hierarchy.offsets[joint];
+            let frames = hierarchy.translations.chunks_exact(object.joints());
+            let at_rest = |place| if near(offset, place) { offset } else { place };
+            let turns = hierarchy.rotations.chunks_exact(object.joints());
+            let turns = turns.scan(Rotation::IDENTITY, |before, turns| {
+                let turn = Rotation::unit(turns[joint].map(f64::from));
+                *before = turn.after(*before).rounded();
+                Some(*before)
+            });
+            RigNode {
+                parent: object.parents[joint],
+                bones_to: object.children(joint),
+                rest: (offset, Rotation::IDENTITY),
+                translations: frames.map(|frame| at_rest(frame[joint])).collect(),
+                rotations: turns.collect(),
+                ..RigNode::new(object, joint)
+            }
+        });
+        Self {
+            nodes: nodes.collect(),
+            joints: joints.collect(),
+        }
     }
 
     /// The nodes without animation. Parents come first for any joint order.
     fn tree(object: &SceneObject) -> Self {
-        let children = |joint: usize| -> Vec<usize> {
-            let all = 0..object.joints();
-            all.filter(|child| object.parents[*child] == Some(joint))
-                .collect()
-        };
-        let name = |joint: usize| {
-            let name = object.joint_names.get(joint).cloned();
-            name.unwrap_or_else(|| format!("joint_{joint}"))
-        };
         let mut nodes: Vec<RigNode> = Vec::new();
         let mut joints = vec![0; object.joints()];
         let mut waiting = vec![(0, None)];
         while let Some((joint, parent)) = waiting.pop() {
-            let below = children(joint);
+            let below = object.children(joint);
             let place = nodes.len();
             joints[joint] = place;
             let mut node = RigNode {
-                name: name(joint),
                 parent,
-                at: joint,
-                ..RigNode::default()
+                ..RigNode::new(object, joint)
             };
             match below[..] {
-                [child] => node.bone_to = Some(child),
+                [child] => node.bones_to = vec![child],
                 _ => node.fits = below.clone(),
             }
+            let name = node.name.clone();
             nodes.push(node);
             for &child in below.iter().rev() {
                 let turned_by = if below.len() > 1 { nodes.len() } else { place };
                 if below.len() > 1 {
+                    let end = RigNode::new(object, child).name;
                     nodes.push(RigNode {
-                        name: format!("{}_to_{}", name(joint), name(child)),
+                        name: format!("{name}_to_{end}"),
                         parent: Some(place),
-                        bone_to: Some(child),
-                        at: joint,
-                        ..RigNode::default()
+                        bones_to: vec![child],
+                        ..RigNode::new(object, joint)
                     });
                 }
                 waiting.push((child, Some(turned_by)));
@@ -110,7 +153,7 @@ impl Rig {
             };
             let local = if let (None, Some(turns)) = (node.parent, &object.orientations) {
                 Rotation::unit(turns[frame].map(f64::from))
-            } else if let Some(end) = node.bone_to {
+            } else if let [end] = node.bones_to[..] {
                 let now = above.inverse().rotate(bone(frame, node.at, end));
                 Rotation::between(bone(0, node.at, end), now)
             } else if node.fits.is_empty() || frame == 0 {
@@ -132,12 +175,12 @@ impl Rig {
         }
     }
 
-    /// Node positions in the bind pose (the first frame), with the object at `place`.
+    /// Node positions in the bind pose, without rotations, with the object at `place`.
     pub fn bind(&self, place: [f32; 3]) -> Vec<[f32; 3]> {
         let mut places: Vec<[f32; 3]> = Vec::with_capacity(self.nodes.len());
         for node in &self.nodes {
             let from = node.parent.map_or(place, |parent| places[parent]);
-            places.push([0, 1, 2].map(|axis| from[axis] + node.translations[0][axis]));
+            places.push([0, 1, 2].map(|axis| from[axis] + node.rest.0[axis]));
         }
         places
     }

@@ -334,6 +334,66 @@ fn a_lone_frame_and_points_without_length_are_written() {
     assert_eq!(reader.world("body", 0)["head"].0, [0.5; 3]);
 }
 
+/// The walker at any angles, in its own hierarchy.
+fn capture(frames: usize) -> SceneObject {
+    let mut object = walker(frames);
+    let joints = object.joints();
+    let rest = walker(1);
+    let offset = |joint: usize| {
+        let from = object.parents[joint].map_or([0.0; 3], |parent| rest.joint(0, parent));
+        let to = rest.joint(0, joint);
+        [0, 1, 2].map(|axis| to[axis] - from[axis])
+    };
+    let offsets: Vec<[f32; 3]> = (0..joints).map(offset).collect();
+    let turn = |index: usize| {
+        let [x, y, z] = [0.4, 0.9, 1.7].map(|part| (part * index as f64).sin());
+        Rotation::unit([0.6, x, y, z]).0.map(|part| part as f32)
+    };
+    let mut translations = offsets.repeat(frames);
+    for frame in 0..frames {
+        // The root moves, and one joint slides.
+        translations[frame * joints][1] += 0.1 * frame as f32;
+        translations[frame * joints + 4][0] += 0.01 * frame as f32;
+    }
+    object.hierarchy = Some(crate::scene::Hierarchy {
+        offsets,
+        translations,
+        rotations: (0..frames * joints).map(turn).collect(),
+    });
+    object
+}
+
+#[test]
+fn a_hierarchy_keeps_its_nodes_rotations_and_rest_pose() {
+    let object = capture(9);
+    let hierarchy = object.hierarchy.clone().unwrap();
+    let reader = Reader::new(&encode(&scene(vec![object.clone()])));
+    let nodes: Vec<Node<'_>> = reader.gltf.nodes().collect();
+    // The object, its joints and its skin.
+    assert_eq!(nodes.len(), 1 + object.joints() + 1);
+    for (joint, name) in object.joint_names.iter().enumerate() {
+        let node = nodes.iter().find(|node| node.name() == Some(name)).unwrap();
+        let (translation, rotation, _) = node.transform().decomposed();
+        assert_eq!(translation, hierarchy.offsets[joint]);
+        assert_eq!(rotation, [0.0, 0.0, 0.0, 1.0]);
+        let below: Vec<&str> = node.children().map(|child| child.name().unwrap()).collect();
+        let known: Vec<&str> = object
+            .children(joint)
+            .iter()
+            .map(|&child| object.joint_names[child].as_str())
+            .collect();
+        assert_eq!(below, known);
+        let (_, turns) = &reader.tracks[&(node.index(), true)];
+        for (frame, [x, y, z, w]) in turns.iter().enumerate() {
+            let known = hierarchy.rotations[frame * object.joints() + joint];
+            let dot: f32 = [w, x, y, z].iter().zip(known).map(|(a, b)| **a * b).sum();
+            assert!(1.0 - dot.abs() < 1e-6, "{name} in frame {frame}");
+        }
+        let moves = reader.tracks.contains_key(&(node.index(), false));
+        assert_eq!(moves, [0, 4].contains(&joint), "{name}");
+    }
+}
+
 #[test]
 fn files_are_written_whole() {
     let folder = tempfile::tempdir().unwrap();

@@ -56,17 +56,44 @@ class Chart {
     const area = element("div", { class: "kg-area" });
     area.append(this.canvas, this.cursor);
     this.element.append(caption, area, this.legend());
-    const seekTo = ({ clientX, clientY }) => {
+    this.seek = seek;
+    const pickAt = ({ clientX, clientY }) => {
       const { left, top, width, height } = area.getBoundingClientRect();
-      seek((scene.seconds * (clientX - left)) / width, (clientY - top) / height);
+      this.pick((clientX - left) / width, (clientY - top) / height);
     };
     area.addEventListener("pointerdown", (event) => {
       area.setPointerCapture(event.pointerId);
-      seekTo(event);
+      scene.dragged = true;
+      pickAt(event);
     });
     area.addEventListener("pointermove", (event) => {
-      if (event.buttons) seekTo(event);
+      if (event.buttons) pickAt(event);
     });
+    for (const end of ["pointerup", "pointercancel"]) {
+      area.addEventListener(end, () => {
+        scene.dragged = false;
+        scene.changed();
+      });
+    }
+  }
+
+  // Seeks the time at a part of the width.
+  pick(across) {
+    const [from, to] = this.scene.range;
+    this.seek(from + across * (to - from));
+  }
+
+  // Smallest and largest value of all curves.
+  get extremes() {
+    if (this.known) return this.known;
+    let [least, most] = [Infinity, -Infinity];
+    for (const { values } of this.lines) {
+      for (const value of values) {
+        if (value < least) least = value;
+        if (value > most) most = value;
+      }
+    }
+    return (this.known = least <= most ? [least, most] : [0, 1]);
   }
 
   // With several figures, a single curve has the colour of its figure. Several curves have a colour
@@ -114,14 +141,7 @@ class Chart {
   draw(colours) {
     const [width, height, context, ratio] = sized(this.canvas);
     if (width === 0) return;
-    let [least, most] = [Infinity, -Infinity];
-    for (const { values } of this.lines) {
-      for (const value of values) {
-        if (value < least) least = value;
-        if (value > most) most = value;
-      }
-    }
-    if (!(least <= most)) [least, most] = [0, 1];
+    const [least, most] = this.extremes;
     // Differences in the last digits of a float are rounding noise.
     const size = Math.max(Math.abs(least), Math.abs(most)) || 1;
     const margin = Math.max(0.08 * (most - least), 1e-4 * size);
@@ -139,7 +159,7 @@ class Chart {
       const { colour, dash } = this.look(line);
       context.strokeStyle = colour;
       context.setLineDash(dash.map((part) => part * ratio));
-      this.trace(context, line, width / (this.scene.seconds * line.fps), y);
+      this.trace(context, line, width, y);
     }
     context.setLineDash([]);
     context.font = `${10 * ratio}px system-ui, sans-serif`;
@@ -151,11 +171,14 @@ class Chart {
   }
 
   // If a pixel has many frames, their smallest and largest values are drawn.
-  trace(context, { values }, step, y) {
+  trace(context, { values, fps }, width, y) {
     context.beginPath();
     let down = false;
+    const [start, end] = this.scene.range.map((time) => time * fps);
+    const step = width / (end - start);
     const bundle = Math.max(1, Math.floor(1 / step));
-    for (let from = 0; from < values.length; from += bundle) {
+    const last = Math.min(values.length, Math.ceil(end) + bundle);
+    for (let from = Math.max(0, Math.floor(start / bundle) - 1) * bundle; from < last; from += bundle) {
       let [least, most] = [Infinity, -Infinity];
       for (let t = from; t < Math.min(values.length, from + bundle); t++) {
         if (values[t] < least) least = values[t];
@@ -165,7 +188,7 @@ class Chart {
         down = false;
         continue;
       }
-      const x = (from + bundle / 2) * step;
+      const x = (from - start + bundle / 2) * step;
       if (down) context.lineTo(x, y(least));
       else context.moveTo(x, y(least));
       if (most > least) context.lineTo(x, y(most));
@@ -174,17 +197,19 @@ class Chart {
     context.stroke();
   }
 
-  follow(part) {
-    this.cursor.style.left = `${100 * part}%`;
+  follow(time) {
+    const [from, to] = this.scene.range;
+    this.cursor.style.left = `${(100 * (time - from)) / (to - from)}%`;
   }
 }
 
 // The times at which each joint stands on the ground, by figure.
 class ContactChart extends Chart {
   constructor(scene, seek) {
+    const several = scene.figures.length > 1;
     const rows = scene.figures.flatMap((figure, index) =>
       figure.contacts.map(({ joint, ranges }) => ({
-        name: figure.joints[joint],
+        label: several ? `${figure.name}: ${figure.joints[joint]}` : figure.joints[joint],
         figure: index,
         fps: figure.fps,
         ranges,
@@ -202,22 +227,29 @@ class ContactChart extends Chart {
     const [width, height, context, ratio] = sized(this.canvas);
     timeLines(context, width, height, this.scene, colours);
     const step = height / this.rows.length;
-    context.font = `${Math.min(10 * ratio, step)}px system-ui, sans-serif`;
-    context.textBaseline = "middle";
-    this.rows.forEach(({ name, figure, fps, ranges }, row) => {
+    const [start, end] = this.scene.range;
+    this.rows.forEach(({ label, figure, fps, ranges }, row) => {
       context.fillStyle = colourOf(figure);
-      const scale = width / (this.scene.seconds * fps);
+      const scale = width / ((end - start) * fps);
       for (const [from, to] of ranges) {
-        context.fillRect(from * scale, row * step + 0.15 * step, (to - from) * scale, 0.7 * step);
+        context.fillRect((from - start * fps) * scale, row * step + 0.15 * step, (to - from) * scale, 0.7 * step);
       }
-      context.fillStyle = colours.ink;
-      context.lineWidth = 3 * ratio;
-      context.strokeStyle = colours.ground;
-      context.strokeText(name, 4 * ratio, (row + 0.5) * step);
-      context.fillText(name, 4 * ratio, (row + 0.5) * step);
+      rowLabel(context, label, (row + 0.5) * step, ratio, colours);
     });
   }
 }
+
+// The name of a row, at its left.
+const rowLabel = (context, text, middle, ratio, colours) => {
+  context.font = `${10 * ratio}px system-ui, sans-serif`;
+  context.textBaseline = "middle";
+  context.fillStyle = colours.ink;
+  context.lineWidth = 3 * ratio;
+  context.lineJoin = "round";
+  context.strokeStyle = colours.ground;
+  context.strokeText(text, 4 * ratio, middle);
+  context.fillText(text, 4 * ratio, middle);
+};
 
 // Sets the canvas to its size in device pixels, and returns a new context.
 const sized = (canvas) => {
@@ -233,11 +265,16 @@ const beatTimes = ({ song, seconds }) => {
   return beats.filter((beat) => beat >= 0 && beat <= seconds);
 };
 
+// Beats as vertical lines; beats that stand closer than this many pixels are left out.
+const LEAST_BEAT = 5;
+
 const timeLines = (context, width, height, scene, colours) => {
+  const [from, to] = scene.range;
+  const beats = beatTimes(scene).filter((beat) => beat >= from && beat <= to);
+  const scale = width / (to - from);
+  if (beats.length > 1 && (scale * (beats.at(-1) - beats[0])) / (beats.length - 1) < LEAST_BEAT) return;
   context.fillStyle = colours.muted;
   context.globalAlpha = 0.35;
-  for (const beat of beatTimes(scene)) {
-    context.fillRect((width * beat) / scene.seconds, 0, 1, height);
-  }
+  for (const beat of beats) context.fillRect(Math.round((beat - from) * scale), 0, 1, height);
   context.globalAlpha = 1;
 };

@@ -19,6 +19,23 @@ const colourOf = (index) => FIGURE_COLOURS[index % FIGURE_COLOURS.length];
 const BODY = [0.17, 0.26, 0.1];
 const FACES = [[0, 1, 3, 2], [5, 4, 6, 7], [4, 0, 2, 6], [1, 5, 7, 3], [2, 3, 7, 6], [4, 5, 1, 0]];
 
+// Radius and length of the shaft and of the head of the arrow at the front of a lone root, metres.
+const SHAFT = [0.032, 0.18];
+const HEAD = [0.085, 0.2];
+const ROUND = 10;
+
+// Faces, seen from outside, of a prism or cone along z, without its far end.
+const prism = (near, from, far, to) => {
+  const ring = (radius, z) =>
+    Array.from({ length: ROUND }, (_, i) => {
+      const angle = (2 * Math.PI * i) / ROUND;
+      return [radius * Math.cos(angle), radius * Math.sin(angle), z];
+    });
+  const [a, b] = [ring(near, from), ring(far, to)];
+  const next = (i) => (i + 1) % ROUND;
+  return [[...a].reverse(), ...a.map((place, i) => [place, a[next(i)], b[next(i)], b[i]])];
+};
+
 const turned = ([w, x, y, z], [a, b, c]) => {
   const [i, j, k] = [2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)];
   return [a + w * i + y * k - z * j, b + w * j + z * i - x * k, c + w * k + x * j - y * i];
@@ -375,37 +392,37 @@ class Painter {
     const { context, view, ratio } = this;
     const [w, h, d] = BODY;
     const front = world([0, 0, 1]).map((value, axis) => value - at[axis]);
+    // The eye along the direction of the front.
     const towards = [0, 1, 2].reduce((sum, axis) => sum + front[axis] * (view.eye[axis] - at[axis]), 0);
-    const polygon = (points, fill) => {
-      this.area(points);
-      context.fillStyle = fill;
-      context.fill();
-      context.lineJoin = "round";
-      context.lineWidth = ratio;
-      context.strokeStyle = mixed(colour, "#000000", 0.45);
-      context.stroke();
+    const solid = (faces, fill, isRound) => {
+      for (const face of faces) {
+        const points = face.map(world);
+        const [a, b, c] = points;
+        const [u, v] = [b, c].map((point) => point.map((value, axis) => value - a[axis]));
+        const normal = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+        const facing = normal.reduce((sum, value, axis) => sum + value * (view.eye[axis] - a[axis]), 0);
+        if (facing <= 0) continue;
+        const light = (0.35 * normal[0] + 0.85 * normal[1] + 0.4 * normal[2]) / Math.hypot(...normal);
+        this.area(points);
+        const shade = light > 0 ? mixed(fill, "#ffffff", 0.45 * light) : mixed(fill, "#000000", -0.4 * light);
+        context.fillStyle = shade;
+        context.fill();
+        context.lineJoin = "round";
+        context.lineWidth = ratio;
+        context.strokeStyle = isRound ? shade : mixed(fill, "#000000", 0.45);
+        context.stroke();
+      }
     };
-    const arrow = () => {
-      const [from, neck, tip] = [d, d + 0.2, d + 0.38];
-      const flat = [[-0.035, 0, from], [-0.035, 0, neck], [-0.09, 0, neck], [0, 0, tip], [0.09, 0, neck], [0.035, 0, neck], [0.035, 0, from]];
-      const upright = flat.map(([x, , z]) => [0, x, z]);
-      for (const shape of [flat, upright]) polygon(shape.map(world), this.contact);
-    };
-    if (towards < 0) arrow();
-    const corners = [];
-    for (let i = 0; i < 8; i++) {
-      corners.push(world([i & 1 ? w : -w, i & 2 ? h : -h, i & 4 ? -d : d]));
-    }
-    for (const face of FACES) {
-      const points = face.map((corner) => corners[corner]);
-      const [a, b, c] = points;
-      const [u, v] = [b, c].map((point) => point.map((value, axis) => value - a[axis]));
-      const normal = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
-      const facing = normal.reduce((sum, value, axis) => sum + value * (view.eye[axis] - a[axis]), 0);
-      if (facing <= 0) continue;
-      const light = (0.35 * normal[0] + 0.85 * normal[1] + 0.4 * normal[2]) / Math.hypot(...normal);
-      polygon(points, light > 0 ? mixed(colour, "#ffffff", 0.45 * light) : mixed(colour, "#000000", -0.4 * light));
-    }
-    if (towards >= 0) arrow();
+    const corner = (i) => [i & 1 ? w : -w, i & 2 ? h : -h, i & 4 ? -d : d];
+    const [neck, tip] = [d + SHAFT[1], d + SHAFT[1] + HEAD[1]];
+    // Body, shaft and head lie behind one another along the front: from far to near of the eye.
+    const parts = [
+      [d, () => solid(FACES.map((face) => face.map(corner)), colour)],
+      [neck, () => solid(prism(SHAFT[0], d, SHAFT[0], neck), this.contact, true)],
+      [Infinity, () => solid(prism(HEAD[0], neck, 0, tip), this.contact, true)],
+    ];
+    const own = parts.findIndex(([end]) => towards < end);
+    const order = [...parts.slice(0, own), ...parts.slice(own + 1).reverse(), parts[own]];
+    for (const [, draw] of order) draw();
   }
 }

@@ -23,16 +23,6 @@ const fillRun = (context, from, to, top, height, first, last) => {
   context.fillRect(from, top, Math.max(1, to - from), height);
 };
 
-const rowLabel = (context, text, middle, ratio, colours) => {
-  context.font = `${10 * ratio}px system-ui, sans-serif`;
-  context.textBaseline = "middle";
-  context.fillStyle = colours.ink;
-  context.lineWidth = 3 * ratio;
-  context.strokeStyle = colours.ground;
-  context.strokeText(text, 4 * ratio, middle);
-  context.fillText(text, 4 * ratio, middle);
-};
-
 const noLegend = () => element("ul", { class: "kg-legend" });
 
 // The source frame of each part and time, by colour; a line rises through each run of consecutive
@@ -54,11 +44,13 @@ class OriginChart extends Chart {
   draw(colours) {
     const [width, height, context, ratio] = sized(this.canvas);
     const step = height / this.rows.length;
+    const [begin, end] = this.scene.range;
     this.rows.forEach(({ label, runs, fps, examples, colour }, row) => {
-      const scale = width / (this.scene.seconds * fps);
+      const scale = width / ((end - begin) * fps);
       const [top, tall] = [(row + 0.08) * step, 0.84 * step];
       for (const [start, example, first, frames] of runs) {
-        const [from, to] = [start * scale, (start + frames) * scale];
+        const [from, to] = [start, start + frames].map((frame) => (frame - begin * fps) * scale);
+        if (to < 0 || from > width) continue;
         fillRun(context, from, to, top, tall, colour(example, first), colour(example, first + frames));
         const y = (frame) => top + tall * (1 - frame / examples[example].frames);
         context.strokeStyle = colours.ink;
@@ -88,11 +80,7 @@ class ExampleChart extends Chart {
     );
     const longest = Math.max(...rows.map(({ frames }) => frames));
     const chart = { title: "frames of the examples that appear", names: [], lines: [], rows, longest };
-    super(chart, scene, (time, down) => {
-      const row = rows[Math.max(0, Math.min(rows.length - 1, Math.floor(down * rows.length)))];
-      const found = this.timeOf(row, (longest * time) / scene.seconds);
-      if (found !== null) seek(found);
-    });
+    super(chart, scene, seek);
     this.canvas.setAttribute("aria-label", this.title);
     this.canvas.style.height = `${Math.max(40, 18 * rows.length)}px`;
     this.follow(0);
@@ -100,6 +88,13 @@ class ExampleChart extends Chart {
 
   legend() {
     return noLegend();
+  }
+
+  pick(across, down) {
+    const { rows, longest } = this;
+    const row = rows[Math.max(0, Math.min(rows.length - 1, Math.floor(down * rows.length)))];
+    const found = this.timeOf(row, longest * across);
+    if (found !== null) this.seek(found);
   }
 
   // The time at which the first part with this source frame shows it; null if none does.
@@ -128,9 +123,9 @@ class ExampleChart extends Chart {
     });
   }
 
-  follow(part) {
+  follow(time) {
     const { parts, figure, fps } = this.rows[0];
-    const t = Math.floor(part * this.scene.seconds * fps);
+    const t = Math.floor(time * fps);
     const run = parts[0].runs.find(([start, , , frames]) => t >= start && t < start + frames);
     if (!run) return;
     const [start, example, first] = run;

@@ -14,6 +14,8 @@ const KEYS = [
   ["↑ ↓", "faster or slower"],
   ["L", "loop"],
   ["S", "side by side or over one another"],
+  ["E", "fit each figure to its pane, or one scale for all"],
+  ["W", "curves over the whole length or around the cursor"],
   ["F", "follow the figures"],
   ["T", "trail on the floor"],
   ["M", "sound on or off"],
@@ -22,6 +24,8 @@ const KEYS = [
   ["Drag", "turn; with Shift, the right button or two fingers: move"],
   ["Wheel, pinch", "nearer or further"],
 ];
+// The part of a long motion around the cursor that curves show, seconds.
+const WINDOW = 10;
 // Largest number of pixels of a canvas: without a GPU each pixel costs time.
 const MOST_PIXELS = 1.3e6;
 
@@ -85,7 +89,11 @@ class Viewer {
       const above = figure.low[1] - ground;
       figure.ground = figure.count > 1 && above > figure.height ? figure.low[1] : ground;
     }
-    this.scene = { ...data, figures, seconds, size, ground };
+    // The part of the time that curves show.
+    this.scene = { ...data, figures, seconds, size, ground, range: [0, seconds] };
+    this.scene.changed = () => (this.stale = true);
+    this.whole = seconds <= 1.5 * WINDOW;
+    this.fitEach = false;
     // The last frame is shown as long as any other, but the time ends at its start.
     this.clock = new Clock(seconds, data.song);
     this.sideBySide = figures.length > 1;
@@ -184,22 +192,36 @@ class Viewer {
     // The background between the panes.
     this.painter.context.fillStyle = this.painter.grid;
     this.painter.context.fillRect(0, 0, this.width, this.height);
-    for (const pane of panes) {
-      const [target, distance] = this.framing(pane);
+    const framings = this.framings(panes);
+    for (const [index, pane] of panes.entries()) {
+      const [target, distance] = framings[index];
       const view = this.camera.view(target, distance, pane);
       this.metresPerPixel = (distance * this.camera.zoom * this.ratio) / view.scale;
       this.painter.pane(pane, view, (index) => this.frameOf(index), this.ratio);
     }
-    const part = Math.min(1, (this.frame + 0.5) / this.frames);
     if (this.small) {
-      this.line.style.width = `${100 * part}%`;
+      this.line.style.width = `${(100 * (this.frame + 0.5)) / this.frames}%`;
       return;
     }
     this.slider.value = this.frame;
     const text = `${(this.frame / this.fps).toFixed(2)} s · frame ${this.frame} of ${this.frames}`;
     this.label.textContent = text;
     this.slider.setAttribute("aria-valuetext", text);
-    for (const chart of this.charts) chart.follow(part);
+    this.moveRange();
+    for (const chart of this.charts) chart.follow((this.frame + 0.5) / this.fps);
+  }
+
+  // Curves of a long motion show a window around the cursor, which stands still while it is dragged in.
+  moveRange() {
+    const { scene } = this;
+    if (scene.dragged) return;
+    const { seconds } = scene;
+    const from = this.whole ? 0 : Math.min(seconds - WINDOW, Math.max(0, this.time - WINDOW / 2));
+    const to = this.whole ? seconds : from + WINDOW;
+    if (scene.range[0] === from && scene.range[1] === to) return;
+    scene.range = [from, to];
+    this.rangeLabel.textContent = `${from.toFixed(1)} to ${to.toFixed(1)} s of ${seconds.toFixed(1)} s`;
+    for (const chart of this.charts) chart.draw(this.painter);
   }
 
   // The parts of the canvas: one, or one for each figure.
@@ -226,7 +248,22 @@ class Viewer {
     }));
   }
 
-  // Target and distance of the camera, so that it sees all figures and the ground.
+  // Target and distance of the camera for each pane, so that it sees all figures and the ground. Panes
+  // have one scale and one height of the ground, unless each is fitted.
+  framings(panes) {
+    const found = panes.map((pane) => this.framing(pane));
+    const lift = Math.max(...found.map(({ rise }) => rise));
+    const placed = found.map(({ x, z, ground, points, rise, aspect }) => {
+      const y = ground + (this.fitEach ? rise : lift);
+      const distance = distanceFor(points.map(([reach, height]) => [reach, height - y]), aspect);
+      return [[x, y, z], distance];
+    });
+    const furthest = Math.max(...placed.map(([, distance]) => distance));
+    return placed.map(([target, distance]) => [target, this.fitEach ? distance : furthest]);
+  }
+
+  // What the camera of a pane must see: `points` as `[reach, height]` around an axis, and the height of
+  // their middle above the ground.
   framing(pane) {
     const { ground, width, height } = pane;
     const goals = this.following ? [] : this.goalPlaces();
@@ -245,9 +282,8 @@ class Viewer {
     const points = figures.flatMap(({ axis, outline }) => outline.map(([reach, y]) => [reach + off(axis), y]));
     points.push(...places.map((place) => [off(place), ground]));
     const heights = points.map(([, y]) => y);
-    const y = (Math.min(...heights) + Math.max(...heights)) / 2;
-    const distance = distanceFor(points.map(([reach, height]) => [reach, height - y]), width / height);
-    return [[x, y, z], distance];
+    const rise = (Math.min(...heights) + Math.max(...heights)) / 2 - ground;
+    return { x, z, ground, points, rise, aspect: width / height };
   }
 
   // Corners of the marks of a goal on the ground.
@@ -366,7 +402,10 @@ class Viewer {
       this.toggleButton("Trail", "Trail on the floor", () => this.painter?.trail ?? true, () => (this.painter.trail = !this.painter.trail)),
     );
     if (scene.figures.length > 1) {
-      bar.append(this.toggleButton("Side by side", "Side by side", () => this.sideBySide, () => (this.sideBySide = !this.sideBySide)));
+      bar.append(
+        this.toggleButton("Side by side", "Side by side", () => this.sideBySide, () => (this.sideBySide = !this.sideBySide)),
+        this.toggleButton("Fit each", "Fit each figure to its pane", () => this.fitEach, () => (this.fitEach = !this.fitEach)),
+      );
     }
     if (clock.audio) {
       bar.append(this.toggleButton("Sound", "Sound", () => !clock.audio.muted, () => (clock.audio.muted = !clock.audio.muted)));
@@ -385,6 +424,13 @@ class Viewer {
     }
     if (this.scene.figures.some((figure) => figure.origins)) {
       this.charts.unshift(new OriginChart(this.scene, seek), new ExampleChart(this.scene, seek));
+    }
+    this.rangeLabel = element("span", { class: "kg-time" });
+    const bar = element("div", { class: "kg-bar kg-range" });
+    if (!this.whole) {
+      const toggle = () => (this.whole = !this.whole);
+      bar.append(this.toggleButton("Whole", "Curves over the whole length", () => this.whole, toggle), this.rangeLabel);
+      grid.append(bar);
     }
     grid.append(...this.charts.map((chart) => chart.element));
     return grid;
@@ -485,6 +531,8 @@ class Viewer {
       ArrowDown: () => this.setRate(RATES[Math.max(0, rate - 1)]),
       l: () => this.press("Loop"),
       s: () => this.press("Side by side"),
+      e: () => this.press("Fit each"),
+      w: () => this.press("Whole"),
       f: () => this.press("Follow"),
       t: () => this.press("Trail"),
       m: () => this.press("Sound"),
