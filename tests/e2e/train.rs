@@ -121,9 +121,7 @@ fn from_a_dataset_on_disk_to_checked_samples_and_pictures() {
         );
     }
 
-    let checked = sandbox
-        .run("check set/motion --source set")
-        .succeeded();
+    let checked = sandbox.run("check set/motion --source set").succeeded();
     assert!(
         checked.stdout.contains("10 of 10 pass"),
         "{}",
@@ -139,7 +137,10 @@ fn from_a_dataset_on_disk_to_checked_samples_and_pictures() {
     );
     // Without statistics the bounds are those of captured people.
     let alone = sandbox.run("check set/motion").stdout;
-    assert!(alone.contains("captured people") && alone.contains("height"), "{alone}");
+    assert!(
+        alone.contains("captured people") && alone.contains("height"),
+        "{alone}"
+    );
 }
 
 #[test]

@@ -82,6 +82,16 @@ impl SteeringConfig {
         first
     }
 
+    /// Frames of a clip of which no length is asked for, of a model of `target_frames`: all, or a
+    /// tenth less if padding is sampled, because the last frames of the sampled length are less
+    /// accurate.
+    pub(super) fn usual_frames(&self, target_frames: usize) -> usize {
+        match self.padding {
+            Padding::Zeros => target_frames,
+            Padding::Sampled => target_frames - target_frames / 10,
+        }
+    }
+
     /// The settings along a path with a position for each frame: unless `schedule.motion_until` says
     /// otherwise, it is imputed to the last step. The motion model would leave it again.
     #[must_use]

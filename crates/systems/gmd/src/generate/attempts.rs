@@ -73,7 +73,7 @@ impl ClipGenerator {
             goal.map_or(0.0, |goal| bounds.measured(clip, Some(goal)).excess())
         };
         let mut clips = self.sample_once(trajectory, requests, sampling, keys, on_step)?;
-        for attempt in 1..self.steering().attempts {
+        for attempt in 1..self.steering.attempts {
             let bad = |index: &usize| excess(*index, &clips[*index]) > 0.0;
             let bad: Vec<usize> = (0..clips.len()).filter(bad).collect();
             if bad.is_empty() {
