@@ -86,12 +86,71 @@ fn several_goals_are_drawn_as_one_batch_and_a_trajectory_run_alone_gives_paths()
 }
 
 #[test]
+fn a_root_out_of_bounds_is_sampled_again_and_told_with_its_frame() {
+    let sandbox = trained();
+    // A step across the disc is inside it, although no frame is.
+    let obstacle = "[[obstacle]]\nkind = \"disc\"\nx = 0.1\nz = 0.4\nradius = 3.0\n";
+    sandbox.write("around.toml", format!("{GOAL}{obstacle}"));
+    let sample = "sample runs/gmd_trajectory --goal around.toml --count 2 --out path --overwrite";
+    let said = sandbox
+        .run(&format!("{sample} --set steering.attempts=1"))
+        .succeeded();
+    for part in [
+        "warning: sample 000: ",
+        "times the fastest step of training (",
+        " m/s) in frame ",
+    ] {
+        assert!(said.stderr.contains(part), "{part}: {}", said.stderr);
+    }
+    assert!(!said.stderr.contains("attempt"), "{}", said.stderr);
+    for part in [
+        "clearance  ",
+        "fastest root step  ",
+        "fastest of training  ",
+    ] {
+        assert!(said.stdout.contains(part), "{part}: {}", said.stdout);
+    }
+    // The record has what the written path has.
+    let record = |name: &str| {
+        let text = fs::read_to_string(sandbox.path(name)).expect("a record");
+        serde_json::from_str::<Value>(&text).expect("JSON")["ground"].clone()
+    };
+    let found = record("path-000.json");
+    let path = read_array(&sandbox.path("path-000.npy"))
+        .expect("a path")
+        .values;
+    let (path, _) = path.as_chunks::<2>();
+    let step = |frame: usize| {
+        let [from, to] = [path[frame - 1], path[frame]];
+        20.0 * f64::from((to[0] - from[0]).hypot(to[1] - from[1]))
+    };
+    let frame = found["fastest_step"]["frame"].as_u64().expect("a frame") as usize;
+    let speed = found["fastest_step"]["speed"].as_f64().expect("a speed");
+    assert!((step(frame) - speed).abs() < 1e-3 * speed);
+    assert!((1..path.len()).all(|frame| step(frame) <= speed * 1.001));
+    assert!(
+        found["clearance"]["frames_inside"].as_u64() > Some(0),
+        "{found}"
+    );
+
+    let said = sandbox.run(&format!("{sample} --set steering.attempts=3"));
+    said.succeeded();
+    let again = record("path-000.json");
+    assert!(again["rejected"].as_u64() <= Some(2), "{again}");
+    // Without a goal too.
+    let free = "sample runs/gmd_trajectory --out free";
+    sandbox.run(free).succeeded();
+    assert!(record("free.json")["fastest_step"]["speed"].is_number());
+}
+
+#[test]
 fn the_second_stage_is_guided_and_imputed_as_its_config_says() {
     let sandbox = trained();
     let obstacle = "[[obstacle]]\nkind = \"disc\"\nx = 0.1\nz = 0.4\nradius = 3.0\n";
     sandbox.write("around.toml", format!("{GOAL}{obstacle}"));
     let drawn = |goal: &str, settings: &str| {
-        let sample = "sample runs/gmd_motion --trajectory-run runs/gmd_trajectory --steps 16";
+        let sample = "sample runs/gmd_motion --trajectory-run runs/gmd_trajectory --steps 16 \
+                      --set steering.attempts=1";
         let sample = format!("{sample} --goal {goal}.toml --out walk --overwrite {settings}");
         sandbox.run(&sample).succeeded();
         let read = |name: &str| read_array(&sandbox.path(name)).expect("an array").values;

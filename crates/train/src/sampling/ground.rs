@@ -73,13 +73,11 @@ impl GroundRecord {
                 true => ": this motion is not usable",
                 false => "",
             };
+            let (speed, frame, ratio) = (step.speed, step.frame, self.speed());
+            let most = self.fastest_of_training;
             faults.push(format!(
-                "the root moves at {:.2} m/s in frame {}, {:.1} times the fastest step of training \
-                 ({:.2} m/s){verdict}",
-                step.speed,
-                step.frame,
-                self.speed(),
-                self.fastest_of_training,
+                "the root moves {ratio:.1} times the fastest step of training ({speed:.2}, not \
+                 {most:.2} m/s) in frame {frame}{verdict}"
             ));
         }
         if let Some(clearance) = self.clearance
@@ -119,7 +117,7 @@ mod tests {
         let fast = record(&[[0.0, 0.0], [0.0, 0.1], [0.0, 0.26]]);
         let text = fast.warning("walk").expect("too fast");
         assert!(
-            text.starts_with("walk: the root moves at 3.20 m/s in frame 2, 2.0 times"),
+            text.starts_with("walk: the root moves 2.0 times the fastest step of training (3.20, not 1.60 m/s) in frame 2"),
             "{text}"
         );
         assert!(!text.contains("not usable"), "{text}");
