@@ -229,7 +229,8 @@ mod tests {
         let samples = [sample(&goal, &ground), sample(&free, &ground)];
         let report = GoalReport::compute(&samples, 2.0, &[]);
         assert_eq!(report.inside_obstacles, Some(0.5));
-        assert_eq!(report.clearance, Some(-0.8));
+        // Between frames 0 and 1, the path crosses the centre of the second disc.
+        assert_eq!(report.clearance, Some(-1.0));
         assert_eq!(report.fastest_step, Some(15.0));
         assert_eq!(report.location_error_20cm, None);
         let broken = [[f64::NAN, 0.0]; 4];
