@@ -422,6 +422,43 @@ fn every_representation_is_plotted() {
 }
 
 #[test]
+fn runs_are_plotted_and_reported_together() {
+    let sandbox = sandbox();
+    for (name, seed) in [("one", 1), ("two", 2)] {
+        let train =
+            format!("train c.toml --name {name} --set train.max_steps=3 --set run.seed={seed}");
+        sandbox.run(&train).succeeded();
+    }
+    sandbox.run("plot runs/one --out one.svg").succeeded();
+    let one = fs::read_to_string(sandbox.path("one.svg")).expect("a picture");
+    holds(
+        &one,
+        &["terms of the loss", "gradient norm", "learning rate"],
+    );
+    sandbox
+        .run("plot runs/one runs/two --out both.svg")
+        .succeeded();
+    let both = fs::read_to_string(sandbox.path("both.svg")).expect("a picture");
+    let named = |name: &str| both.matches(&format!("\n{name}\n")).count();
+    // Each chart names both runs.
+    assert!(named("one") >= 3 && named("one") == named("two"));
+    holds(&both, &["loss_", "gradient norm"]);
+    let page = page(&sandbox, "runs/one runs/two", "runs/comparison.html");
+    holds(
+        &page,
+        &["one, two", "run.seed", "gradient norm", "size on disk"],
+    );
+    assert!(!page.contains("train.max_steps"), "the same in both");
+    for (command, problem) in [
+        ("plot runs/one c.toml --out q.svg", "c.toml is not a run"),
+        ("plot runs/one nowhere --out q.svg", "a run at nowhere"),
+        ("report runs/one nowhere", "there is no run at nowhere"),
+    ] {
+        sandbox.run(command).failed(2, &[problem]);
+    }
+}
+
+#[test]
 fn joints_of_any_skeleton_and_captures_are_plotted_and_not_checked() {
     let sandbox = sandbox();
     let plot = |arguments: &str| {

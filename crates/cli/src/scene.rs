@@ -25,7 +25,7 @@ use crate::io::{
 use crate::output::unusable;
 
 use body::figure as body;
-pub use music::{Music, song};
+pub use music::{Music, recorded, song};
 
 /// Largest number of figures in a scene.
 const MOST_FIGURES: usize = 16;

@@ -79,6 +79,9 @@ pub enum ExportError {
     },
 }
 
+/// Called with the number of finished pictures and of all; returns true to stop.
+pub type Stop<'a> = &'a dyn Fn(usize, usize) -> bool;
+
 impl ExportError {
     /// Turns the reason why `path` cannot be written into an error.
     pub(crate) fn write<E: ToString>(path: &Path) -> impl Fn(E) -> Self {

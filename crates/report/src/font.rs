@@ -1,6 +1,14 @@
-//! The font of pictures.
+//! The font of pictures, and bitmaps with its letters.
 
+use std::sync::OnceLock;
+
+use ab_glyph::{Font, FontRef, ScaleFont, point};
+use plotters::backend::BitMapBackend;
+use plotters::style::text_anchor::{HPos, VPos};
 use plotters::style::{FontStyle, register_font};
+use plotters_backend::{
+    BackendColor, BackendCoord, BackendStyle, BackendTextStyle, DrawingBackend, DrawingErrorKind,
+};
 
 /// Registers a built-in font, so that pictures are equal on every machine. Repeated calls are
 /// harmless.
@@ -8,4 +16,169 @@ pub(crate) fn register() {
     let font = epaint_default_fonts::UBUNTU_LIGHT;
     let registered = register_font("sans-serif", FontStyle::Normal, font);
     debug_assert!(registered.is_ok(), "the built-in font is one");
+}
+
+fn font() -> &'static FontRef<'static> {
+    static FONT: OnceLock<FontRef<'static>> = OnceLock::new();
+    FONT.get_or_init(|| {
+        let font = FontRef::try_from_slice(epaint_default_fonts::UBUNTU_LIGHT);
+        font.expect("the built-in font is one")
+    })
+}
+
+/// A bitmap whose letters start at fractions of a pixel, after their own space. plotters rounds the
+/// position of each letter down and omits that space.
+pub(crate) struct Bitmap<'a>(pub BitMapBackend<'a>);
+
+type Outcome = Result<(), DrawingErrorKind<<BitMapBackend<'static> as DrawingBackend>::ErrorType>>;
+
+impl DrawingBackend for Bitmap<'_> {
+    type ErrorType = <BitMapBackend<'static> as DrawingBackend>::ErrorType;
+
+    fn get_size(&self) -> (u32, u32) {
+        self.0.get_size()
+    }
+
+    fn ensure_prepared(&mut self) -> Outcome {
+        self.0.ensure_prepared()
+    }
+
+    fn present(&mut self) -> Outcome {
+        self.0.present()
+    }
+
+    fn draw_pixel(&mut self, at: BackendCoord, color: BackendColor) -> Outcome {
+        self.0.draw_pixel(at, color)
+    }
+
+    fn draw_line<S: BackendStyle>(
+        &mut self,
+        a: BackendCoord,
+        b: BackendCoord,
+        style: &S,
+    ) -> Outcome {
+        self.0.draw_line(a, b, style)
+    }
+
+    fn draw_rect<S: BackendStyle>(
+        &mut self,
+        a: BackendCoord,
+        b: BackendCoord,
+        style: &S,
+        fill: bool,
+    ) -> Outcome {
+        self.0.draw_rect(a, b, style, fill)
+    }
+
+    fn draw_text<S: BackendTextStyle>(
+        &mut self,
+        text: &str,
+        style: &S,
+        at: BackendCoord,
+    ) -> Outcome {
+        let scaled = font().as_scaled(style.size() as f32);
+        let mut before = None;
+        let mut width = 0.0;
+        let starts: Vec<_> = text
+            .chars()
+            .map(|letter| {
+                let glyph = scaled.glyph_id(letter);
+                width += before.map_or(0.0, |before| scaled.kern(before, glyph));
+                let start = width;
+                width += scaled.h_advance(glyph);
+                before = Some(glyph);
+                (glyph, start)
+            })
+            .collect();
+        let left = at.0 as f32
+            - match style.anchor().h_pos {
+                HPos::Left => 0.0,
+                HPos::Right => width,
+                HPos::Center => width / 2.0,
+            };
+        // As SVG pictures have it, in parts of the size.
+        let below = match style.anchor().v_pos {
+            VPos::Top => 0.61,
+            VPos::Center => 0.21,
+            VPos::Bottom => -0.21,
+        };
+        let baseline = (at.1 as f32 + below * style.size() as f32).round();
+        let color = style.color();
+        for (glyph, start) in starts {
+            let place = point(left + start, baseline);
+            let glyph = glyph.with_scale_and_position(scaled.scale(), place);
+            let Some(outline) = font().outline_glyph(glyph) else {
+                continue;
+            };
+            let corner = outline.px_bounds().min;
+            let mut pixels = Vec::new();
+            outline.draw(|x, y, coverage| pixels.push((x, y, coverage)));
+            for (x, y, coverage) in pixels {
+                let alpha = color.alpha * f64::from(coverage.min(1.0));
+                let place = (corner.x as i32 + x as i32, corner.y as i32 + y as i32);
+                self.draw_pixel(place, BackendColor { alpha, ..color })?;
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use plotters::prelude::*;
+    use plotters::style::text_anchor::Pos;
+
+    use super::*;
+
+    /// Centres of the letters of a text whose letters do not touch, pixels.
+    fn centres(text: &str, size: i32) -> Vec<f32> {
+        register();
+        let (width, height) = (200, 40);
+        let mut rgb = vec![255; 3 * width * height];
+        let bitmap = BitMapBackend::with_buffer(&mut rgb, (width as u32, height as u32));
+        let area = Bitmap(bitmap).into_drawing_area();
+        let style = TextStyle::from(("sans-serif", size).into_font());
+        let style = style.pos(Pos::new(HPos::Left, VPos::Top));
+        area.draw(&Text::new(text.to_string(), (10, 10), style))
+            .unwrap();
+        drop(area);
+        let ink = |x: usize| -> f32 {
+            let rows = (0..height).map(|y| 255.0 - f32::from(rgb[3 * (y * width + x)]));
+            rows.sum()
+        };
+        let columns: Vec<f32> = (0..width).map(ink).collect();
+        let mut found = Vec::new();
+        let (mut sum, mut moment) = (0.0, 0.0);
+        for (x, ink) in columns.iter().enumerate() {
+            sum += ink;
+            moment += (x as f32 + 0.5) * ink;
+            if *ink == 0.0 && sum > 0.0 {
+                found.push(moment / sum);
+                (sum, moment) = (0.0, 0.0);
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn letters_are_as_far_apart_as_the_font_has_them() {
+        for size in [11, 13, 14, 16] {
+            let scaled = font().as_scaled(size as f32);
+            let wide = |letter: char| scaled.h_advance(font().glyph_id(letter));
+            let found = centres("o o o o o o", size);
+            assert_eq!(found.len(), 6, "{size}");
+            for pair in found.windows(2) {
+                let step = pair[1] - pair[0];
+                assert!(
+                    (step - wide('o') - wide(' ')).abs() < 0.1,
+                    "{size}: {found:?}"
+                );
+            }
+            // The letter is in the middle of its own space.
+            assert!(
+                (found[0] - 10.0 - wide('o') / 2.0).abs() < 0.3,
+                "{size}: {found:?}"
+            );
+        }
+    }
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use gif::{DisposalMethod, Encoder, Frame, Repeat};
 
-use crate::export::{self, ExportError};
+use crate::export::{self, ExportError, Stop};
 use crate::raster::{Image, PALETTE, Painter, square_side};
 use crate::scene::Scene;
 
@@ -23,7 +23,7 @@ const BESIDE: (u32, u32) = (320, 340);
 /// # Errors
 /// The errors of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::Write`];
 /// [`ExportError::Interrupted`] once `stop` returns true.
-pub fn write(scene: &Scene, out: &Path, stop: &dyn Fn() -> bool) -> Result<(), ExportError> {
+pub fn write(scene: &Scene, out: &Path, stop: Stop<'_>) -> Result<(), ExportError> {
     export::check(scene, out)?;
     let encoded = encode(scene, size(scene), stop).map_err(ExportError::write(out))?;
     let bytes = encoded.ok_or_else(|| ExportError::Interrupted {
@@ -64,7 +64,7 @@ fn timing(scene: &Scene) -> Vec<(f64, u16)> {
 fn encode(
     scene: &Scene,
     size: (u32, u32),
-    stop: &dyn Fn() -> bool,
+    stop: Stop<'_>,
 ) -> Result<Option<Vec<u8>>, gif::EncodingError> {
     let painter = Painter::new(scene, size);
     let (width, height) = painter.size();
@@ -75,8 +75,9 @@ fn encode(
     encoder.set_repeat(Repeat::Infinite)?;
     let mut before: Option<Vec<u8>> = None;
     let mut waiting: Option<Frame<'static>> = None;
-    for (moment, delay) in timing(scene) {
-        if stop() {
+    let timing = timing(scene);
+    for (index, &(moment, delay)) in timing.iter().enumerate() {
+        if stop(index, timing.len()) {
             return Ok(None);
         }
         let now = indices(&painter.at(moment), &mut palette);
@@ -104,6 +105,7 @@ fn encode(
         encoder.write_frame(&last)?;
     }
     drop(encoder);
+    stop(timing.len(), timing.len());
     Ok(Some(bytes))
 }
 
@@ -201,7 +203,7 @@ mod tests {
     }
 
     fn encoded(scene: &Scene, size: (u32, u32)) -> Vec<u8> {
-        encode(scene, size, &|| false)
+        encode(scene, size, &|_, _| false)
             .unwrap()
             .expect("not stopped")
     }
@@ -255,7 +257,7 @@ mod tests {
     fn thirteen_seconds_take_less_than_a_megabyte() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("dance.gif");
-        write(&scene(vec![dancer(390, 0.0)]), &out, &|| false).unwrap();
+        write(&scene(vec![dancer(390, 0.0)]), &out, &|_, _| false).unwrap();
         let size = std::fs::metadata(&out).unwrap().len();
         assert!(size < 1_000_000, "{size} bytes");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
@@ -272,7 +274,7 @@ mod tests {
             (vec![body(0)], "`body` has no frames"),
             (vec![broken], "`body` is not finite"),
         ] {
-            let error = write(&scene(objects), &out, &|| false)
+            let error = write(&scene(objects), &out, &|_, _| false)
                 .unwrap_err()
                 .to_string();
             assert!(
@@ -280,10 +282,10 @@ mod tests {
                 "{error}"
             );
         }
-        let error = write(&scene(vec![body(2)]), &out, &|| true).unwrap_err();
+        let error = write(&scene(vec![body(2)]), &out, &|_, _| true).unwrap_err();
         assert!(matches!(error, ExportError::Interrupted { .. }), "{error}");
         let missing = folder.path().join("no/dance.gif");
-        let error = write(&scene(vec![body(2)]), &missing, &|| false).unwrap_err();
+        let error = write(&scene(vec![body(2)]), &missing, &|_, _| false).unwrap_err();
         assert!(error.to_string().starts_with("cannot write"), "{error}");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }

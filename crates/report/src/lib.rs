@@ -15,6 +15,6 @@ mod table;
 pub mod viewer;
 
 pub use columns::{Column, Section, columns_csv, columns_table};
-pub use export::{ExportError, check as must_be_exportable};
+pub use export::{ExportError, Stop, check as must_be_exportable};
 pub use picture::{Panel, PictureError, Series, body_panels, check_ending, draw, draw_png};
 pub use table::{facts, grouped, rows, table};

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::thread;
 
-use crate::export::{self, ExportError};
+use crate::export::{self, ExportError, Stop};
 use crate::raster::Painter;
 use crate::scene::{Scene, Song};
 
@@ -27,7 +27,7 @@ const LAST_LINES: usize = 4;
 /// The errors of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::NoEncoder`]
 /// without ffmpeg; [`ExportError::Encoder`] if ffmpeg fails; [`ExportError::Write`];
 /// [`ExportError::Interrupted`] once `stop` returns true.
-pub fn write(scene: &Scene, out: &Path, stop: &dyn Fn() -> bool) -> Result<(), ExportError> {
+pub fn write(scene: &Scene, out: &Path, stop: Stop<'_>) -> Result<(), ExportError> {
     write_by(OsStr::new(ENCODER), scene, out, stop)
 }
 
@@ -50,12 +50,7 @@ fn no_encoder(out: &Path, program: &OsStr, reason: &std::io::Error) -> ExportErr
 }
 
 /// [`write`] through another program with the same arguments.
-fn write_by(
-    program: &OsStr,
-    scene: &Scene,
-    out: &Path,
-    stop: &dyn Fn() -> bool,
-) -> Result<(), ExportError> {
+fn write_by(program: &OsStr, scene: &Scene, out: &Path, stop: Stop<'_>) -> Result<(), ExportError> {
     export::check(scene, out)?;
     let [film, music] = ["film", "song"].map(|what| export::temporary(out, what));
     if let Some(song) = &scene.song {
@@ -80,7 +75,7 @@ fn encode(
     song: Option<(&Song, &Path)>,
     film: &Path,
     out: &Path,
-    stop: &dyn Fn() -> bool,
+    stop: Stop<'_>,
 ) -> Result<(), ExportError> {
     let (width, height) = crate::gif::size(scene);
     let painter = Painter::new(scene, (SCALE * width, SCALE * height));
@@ -99,7 +94,7 @@ fn encode(
     let child = command.spawn();
     let mut child = child.map_err(|reason| no_encoder(out, program, &reason))?;
     let (status, messages, taken) = feed(&mut child, &painter, count, stop);
-    if stop() {
+    if stop(count, count) {
         return Err(ExportError::Interrupted {
             out: out.to_path_buf(),
         });
@@ -122,7 +117,7 @@ fn feed(
     child: &mut Child,
     painter: &Painter<'_>,
     count: usize,
-    stop: &dyn Fn() -> bool,
+    stop: Stop<'_>,
 ) -> (std::io::Result<std::process::ExitStatus>, String, bool) {
     let mut pictures = child.stdin.take().expect("it is piped");
     let mut errors = child.stderr.take().expect("it is piped");
@@ -134,10 +129,10 @@ fn feed(
     });
     let taken = (0..count).all(|picture| {
         let image = painter.at(picture as f64 / f64::from(FPS));
-        !stop() && pictures.write_all(&image.rgb).is_ok()
+        !stop(picture, count) && pictures.write_all(&image.rgb).is_ok()
     });
     drop(pictures);
-    if stop() {
+    if stop(count, count) {
         let _ = child.kill();
     }
     let status = child.wait();
@@ -230,7 +225,7 @@ mod tests {
         let script = "for last; do :; done\nout=${last#file:}\n\
                       { echo \"$@\"; cat \"${out%film.tmp}song.tmp\"; echo; wc -c; } > \"$out\"";
         let program = stand_in(folder.path(), script);
-        write_by(program.as_os_str(), &scene(true), &out, &|| false).unwrap();
+        write_by(program.as_os_str(), &scene(true), &out, &|_, _| false).unwrap();
         assert_eq!(files(folder.path()), ["dance.mp4", "encoder"]);
         let log = fs::read_to_string(&out).unwrap();
         let lines: Vec<&str> = log.lines().collect();
@@ -238,7 +233,7 @@ mod tests {
         assert!(lines[0].contains("-t 1.000000") && lines[0].contains("-pix_fmt yuv420p"));
         assert_eq!(lines[1], "a song");
         assert_eq!(lines[2].trim(), (30 * 3 * 800 * 720).to_string());
-        write_by(program.as_os_str(), &scene(false), &out, &|| false)
+        write_by(program.as_os_str(), &scene(false), &out, &|_, _| false)
             .unwrap_or_else(|e| panic!("{e}"));
         assert!(!fs::read_to_string(&out).unwrap().contains("-ss"));
     }
@@ -257,13 +252,19 @@ mod tests {
             ("cat > /dev/null", "no messages"),
         ] {
             let program = stand_in(folder.path(), script);
-            let error = write_by(program.as_os_str(), &scene(true), &out, &|| false).unwrap_err();
+            let error =
+                write_by(program.as_os_str(), &scene(true), &out, &|_, _| false).unwrap_err();
             assert!(matches!(error, ExportError::Encoder { .. }), "{error}");
             assert!(error.to_string().contains(messages), "{error}");
             assert_eq!(files(folder.path()), ["dance.mp4", "encoder"]);
         }
-        let error =
-            write_by(OsStr::new("no-such-encoder"), &scene(true), &out, &|| false).unwrap_err();
+        let error = write_by(
+            OsStr::new("no-such-encoder"),
+            &scene(true),
+            &out,
+            &|_, _| false,
+        )
+        .unwrap_err();
         assert!(
             error
                 .to_string()
@@ -282,7 +283,7 @@ mod tests {
             "for last; do :; done\necho half > \"${last#file:}\"\ncat > /dev/null\nexec sleep 60";
         let program = stand_in(folder.path(), script);
         let asked = std::cell::Cell::new(0);
-        let stop = || {
+        let stop = |_: usize, _: usize| {
             asked.set(asked.get() + 1);
             asked.get() > 5
         };

@@ -13,11 +13,12 @@ Examples:
   kinegrad plot dance.npy --out dance.svg
   kinegrad plot walk.npy --goal configs/goal.toml --out walk.png
   kinegrad plot capture.bvh --units cm --out capture.svg
-  kinegrad plot runs/quickstart --out losses.svg")]
+  kinegrad plot runs/quickstart --out losses.svg
+  kinegrad plot runs/one runs/two --out losses.svg")]
 pub struct PlotArguments {
-    /// Motion file (.npy or .bvh), or folder of a run
-    #[arg(value_name = "MOTION|RUN")]
-    pub input: PathBuf,
+    /// Motion file (.npy or .bvh), or folders of runs to plot together
+    #[arg(required = true, value_name = "MOTION|RUN")]
+    pub inputs: Vec<PathBuf>,
     /// Goal to plot on the floor: key frames, trajectory and obstacles
     #[arg(long, value_name = "GOAL.toml")]
     pub goal: Option<PathBuf>,
@@ -33,12 +34,13 @@ pub struct PlotArguments {
 #[command(after_help = "\
 Examples:
   kinegrad report runs/quickstart
-  kinegrad report runs/phrases --out phrases.html")]
+  kinegrad report runs/phrases --out phrases.html
+  kinegrad report runs/one runs/two --out comparison.html")]
 pub struct ReportArguments {
-    /// Folder of the run
-    #[arg(value_name = "RUN")]
-    pub run: PathBuf,
-    /// Page to write [default: RUN/report.html]
+    /// Folder of the run; several are compared
+    #[arg(required = true, value_name = "RUN")]
+    pub runs: Vec<PathBuf>,
+    /// Page to write [default: RUN/report.html; of several runs comparison.html beside the first]
     #[arg(long, value_name = "FILE.html")]
     pub out: Option<PathBuf>,
 }

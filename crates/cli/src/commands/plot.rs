@@ -1,64 +1,49 @@
 //! `kinegrad plot`
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use kinegrad_report::scene::Floor;
-use kinegrad_report::{Panel, Series, body_panels, check_ending};
+use kinegrad_report::{Panel, body_panels, check_ending};
 use kinegrad_train::clips::read_goal;
 use kinegrad_train::telemetry::{Record, read_metrics};
 use kinegrad_train::{Error, Systems};
 
+use super::report::curves::{Metrics, charts};
 use crate::args::PlotArguments;
 use crate::io::{Motion, MotionArray, file_stem};
 use crate::output::{draw, unusable};
+use crate::runs::folder_name;
 use crate::scene::{self, Reading};
 
-/// Plots a motion file or a run.
+/// Plots a motion file or runs.
 pub fn run(systems: Systems<'_>, arguments: PlotArguments) -> Result<ExitCode, Error> {
     let PlotArguments {
-        input,
+        inputs,
         goal,
         reading,
         out,
     } = arguments;
     check_ending(&out).map_err(unusable)?;
-    let panels = if input.is_dir() && goal.is_some() {
-        return Err(Error::usage(
-            format!("`--goal` with the folder {}", input.display()),
-            "a goal is plotted with a motion file",
-        ));
-    } else if input.join("metrics.jsonl").exists() {
-        let records = read_metrics(&input, &mut |text| tell!("warning: {text}"))?;
-        if records.is_empty() {
-            let metrics = input.join("metrics.jsonl");
+    let folder = inputs.iter().find(|input| input.is_dir());
+    let panels = match (&inputs[..], goal, folder) {
+        (_, Some(_), Some(folder)) => {
             return Err(Error::usage(
-                format!("{} has no line that can be plotted", metrics.display()),
-                "a run writes one every `train.log_every_steps` steps",
+                format!("`--goal` with the folder {}", folder.display()),
+                "a goal is plotted with a motion file",
             ));
         }
-        loss_panels(&records)
-    } else if input.is_file() {
-        let goal = goal
-            .as_deref()
-            .map(read_goal)
-            .transpose()?
-            .map(|(goal, _)| goal);
-        let floor = goal.as_ref().map(scene::floor).unwrap_or_default();
-        motion_panels(systems, &input, &Reading::of(&reading), &floor)?
-    } else if input.join("config.toml").exists() || input.join("checkpoints").exists() {
-        return Err(Error::usage(
-            format!("the run {} has no metrics.jsonl to plot", input.display()),
-            "training writes it; imported and merged runs have none",
-        ));
-    } else {
-        let message = format!(
-            "there is neither a motion file nor a run at {}",
-            input.display()
-        );
-        let hint = "give a .npy file such as `kinegrad sample` writes, a .bvh file, or a folder \
-                    such as runs/quickstart";
-        return Err(Error::usage(message, hint));
+        ([input], goal, _) if input.is_file() => {
+            let goal = goal.as_deref().map(read_goal).transpose()?;
+            let floor = goal.map(|(goal, _)| scene::floor(&goal));
+            motion_panels(
+                systems,
+                input,
+                &Reading::of(&reading),
+                &floor.unwrap_or_default(),
+            )?
+        }
+        _ => run_panels(&inputs)?,
     };
     draw(&panels, 2, (520, 250), &out)?;
     say!("{}", out.display());
@@ -97,19 +82,46 @@ fn known_panels(array: &MotionArray, name: String, floor: &Floor) -> Vec<Panel> 
     body.into_iter().flatten().chain(curves).collect()
 }
 
-fn loss_panels(records: &[Record]) -> Vec<Panel> {
-    let panel = |title, names: &[&str]| {
-        let curves = names.iter().map(|name| -> Series {
-            let records = records.iter();
-            let points = records.filter_map(|r| Some((r.step as f64, r.get(name)?)));
-            (name.to_string(), points.collect())
-        });
-        let measured = curves.filter(|(_, points)| !points.is_empty());
-        Panel::lines(title, "step", measured.collect())
-    };
-    vec![
-        panel("loss", &["loss", "val_loss"]),
-        panel("gradient norm", &["grad_norm"]),
-        panel("learning rate", &["lr"]),
-    ]
+/// The curves of the runs in `folders`.
+fn run_panels(folders: &[PathBuf]) -> Result<Vec<Panel>, Error> {
+    let records = folders.iter().map(|folder| metrics(folder));
+    let records = records.collect::<Result<Vec<_>, Error>>()?;
+    let names: Vec<String> = folders.iter().map(|folder| folder_name(folder)).collect();
+    let runs = names.iter().zip(&records);
+    let runs: Vec<Metrics<'_>> = runs.map(|(name, records)| (&**name, &**records)).collect();
+    Ok(charts(&runs))
+}
+
+/// The metrics of a run. Fails if there are none.
+fn metrics(folder: &Path) -> Result<Vec<Record>, Error> {
+    let shown = folder.display();
+    if folder.join("metrics.jsonl").exists() {
+        let records = read_metrics(folder, &mut |text| tell!("warning: {text}"))?;
+        if !records.is_empty() {
+            return Ok(records);
+        }
+        let metrics = folder.join("metrics.jsonl");
+        return Err(Error::usage(
+            format!("{} has no line that can be plotted", metrics.display()),
+            "a run writes one every `train.log_every_steps` steps",
+        ));
+    }
+    Err(if folder.is_file() {
+        Error::usage(
+            format!("{shown} is not a run"),
+            "several runs are plotted together, motion files one at a time; `kinegrad view` shows \
+             several motions side by side",
+        )
+    } else if folder.join("config.toml").exists() || folder.join("checkpoints").exists() {
+        Error::usage(
+            format!("the run {shown} has no metrics.jsonl to plot"),
+            "training writes it; imported and merged runs have none",
+        )
+    } else {
+        Error::usage(
+            format!("there is neither a motion file nor a run at {shown}"),
+            "give a .npy file such as `kinegrad sample` writes, a .bvh file, or a folder such as \
+             runs/quickstart",
+        )
+    })
 }

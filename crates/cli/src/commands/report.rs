@@ -1,6 +1,7 @@
 //! `kinegrad report`
 
-mod curves;
+mod comparison;
+pub mod curves;
 mod facts;
 mod previews;
 mod samples;
@@ -19,19 +20,31 @@ use crate::folder;
 use crate::io::{file_stem, files_in};
 use crate::runs::{Run, RunStatus, folder_name, is_run};
 
-/// Writes a page about a run.
+/// Writes a page about a run, or a comparison of several.
 pub fn run(systems: Systems<'_>, arguments: ReportArguments) -> Result<ExitCode, Error> {
-    let ReportArguments { run: folder, out } = arguments;
-    let run = Run::read(systems, &folder);
-    let stages = stages(systems, &run);
-    if !is_run(&folder) && stages.is_empty() {
-        return Err(Error::usage(
-            format!("there is no run at {}", folder.display()),
-            "give a run's folder, such as runs/quickstart; `kinegrad runs` lists them",
-        ));
+    let ReportArguments { runs: folders, out } = arguments;
+    let mut runs = Vec::new();
+    for folder in &folders {
+        let run = Run::read(systems, folder);
+        let stages = stages(systems, &run);
+        if !is_run(folder) && stages.is_empty() {
+            return Err(Error::usage(
+                format!("there is no run at {}", folder.display()),
+                "give a run's folder, such as runs/quickstart; `kinegrad runs` lists them",
+            ));
+        }
+        runs.push((run, stages));
     }
-    let out = out.unwrap_or_else(|| folder.join("report.html"));
-    let page = page(systems, &run, &stages);
+    let first = &folders[0];
+    let (page, beside) = match &runs[..] {
+        [(run, stages)] => (page(systems, run, stages), first.join("report.html")),
+        _ => {
+            let runs: Vec<Run> = runs.into_iter().map(|(run, _)| run).collect();
+            let page = comparison::page(&runs);
+            (page, first.with_file_name("comparison.html"))
+        }
+    };
+    let out = out.unwrap_or(beside);
     write(&out, &html(&page))?;
     say!("{}", out.display());
     Ok(ExitCode::SUCCESS)
@@ -78,7 +91,7 @@ fn page(systems: Systems<'_>, run: &Run, stages: &[Run]) -> Page {
         let text = "There are no metrics: this run was not trained here.";
         overview.add(Block::Text(text.into()));
     }
-    overview.add(Block::Charts(curves::charts(&records)));
+    overview.add(Block::Charts(curves::charts(&[("", &records)])));
     let mut sections = vec![overview];
     let samples = samples::section(systems, run);
     if samples.blocks.is_empty() {
@@ -143,7 +156,7 @@ fn stage_section(stage: &Run) -> Section {
     let mut facts = vec![("state".to_string(), stage.status.name().to_string())];
     facts.extend(facts::highlights(stage, &records, environments.last()));
     section.add(Block::Facts(facts));
-    section.add(Block::Charts(curves::charts(&records)));
+    section.add(Block::Charts(curves::charts(&[("", &records)])));
     section
 }
 

@@ -10,6 +10,7 @@ use kinegrad_train::{Error, Systems};
 use crate::args::ViewArguments;
 use crate::io::{has_extension, must_be_new};
 use crate::output::unusable;
+use crate::progress::Count;
 use crate::scene::{self, Music, Reading};
 use crate::{folder, interrupt};
 
@@ -41,13 +42,21 @@ pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, E
     interrupt::end_between_files();
     let motions = scene::motions(&arguments.motions, arguments.raw)?;
     let outputs = outputs(&arguments, &motions)?;
+    let sounds = outputs
+        .iter()
+        .any(|(kind, _)| matches!(kind, Kind::Page | Kind::Mp4));
     let reading = Reading {
         title: arguments.title,
         goal: arguments.goal,
-        music: arguments.audio.map(|song| Music {
-            song,
-            start: arguments.start,
-        }),
+        music: match arguments.audio {
+            Some(song) => Some(Music {
+                song,
+                start: arguments.start,
+            }),
+            None => Some(&motions)
+                .filter(|_| sounds)
+                .and_then(|motions| scene::recorded(motions)),
+        },
         ..Reading::of(&arguments.reading)
     };
     let scene = scene::read(systems, &motions, &reading)?;
@@ -78,8 +87,17 @@ pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, E
                 interrupt::not_during(|| write_whole(&path, text.as_bytes()))?;
                 Ok(())
             }
-            Kind::Gif => interrupt::stoppable(|stop| gif::write(&scene, &path, stop)),
-            Kind::Mp4 => interrupt::stoppable(|stop| mp4::write(&scene, &path, stop)),
+            Kind::Gif | Kind::Mp4 => interrupt::stoppable(|stop| {
+                let count = Count::new("pictures drawn");
+                let stop = |done: usize, total: usize| {
+                    count.show(done, total);
+                    stop()
+                };
+                match kind {
+                    Kind::Gif => gif::write(&scene, &path, &stop),
+                    _ => mp4::write(&scene, &path, &stop),
+                }
+            }),
             Kind::Glb => interrupt::not_during(|| glb::write(&scene, &path)),
         };
         match written {

@@ -7,8 +7,12 @@ use kinegrad_data::file::read_file;
 use kinegrad_report::scene::Song;
 use kinegrad_train::Error;
 use kinegrad_train::memory::must_fit;
+use serde::Deserialize;
 
 use crate::output::unusable;
+
+/// Largest record, bytes.
+const LARGEST_RECORD: u64 = 1 << 26;
 
 /// Largest file of a song, bytes.
 const LARGEST: u64 = 1 << 30;
@@ -20,6 +24,51 @@ pub struct Music {
     pub song: PathBuf,
     /// Second of the song at which the motion starts.
     pub start: f64,
+}
+
+/// The part of a record that is read.
+#[derive(Deserialize)]
+struct Record {
+    condition: Conditions,
+}
+
+#[derive(Deserialize)]
+struct Conditions {
+    song: Option<Recorded>,
+}
+
+#[derive(Deserialize, PartialEq)]
+struct Recorded {
+    file: PathBuf,
+    start: f64,
+}
+
+/// The song that the records beside the motions name, if it is the same for all that have one.
+pub fn recorded(motions: &[PathBuf]) -> Option<Music> {
+    let songs = motions.iter().filter_map(|motion| {
+        let bytes = read_file(&motion.with_extension("json"), LARGEST_RECORD).ok()?;
+        serde_json::from_slice::<Record>(&bytes)
+            .ok()?
+            .condition
+            .song
+    });
+    let songs: Vec<Recorded> = songs.collect();
+    let first = songs.first()?;
+    if songs.iter().any(|song| song != first) {
+        return None;
+    }
+    let (song, start) = (first.file.clone(), first.start);
+    let shown = song.display();
+    if !song.is_file() {
+        tell!(
+            "note: the record names the song {shown}, which is not there; `--audio` gives another"
+        );
+        return None;
+    }
+    tell!(
+        "note: {shown} from {start} s, as the record has it; `--audio` and `--start` change that"
+    );
+    Some(Music { song, start })
 }
 
 /// The song with its beats during `seconds` of motion: the file, or the part during the motion as
@@ -39,12 +88,18 @@ pub fn song(music: &Music, seconds: f64) -> Result<Song, Error> {
     let from = (start * rate) as usize;
     let to = (((start + seconds) * rate).ceil() as usize).min(waveform.samples.len());
     let part = &waveform.samples[from..to];
+    // An excerpt has too few beats to find its tempo: beats are those of the whole song.
     must_fit(
-        &format!("{}: the beats of {seconds:.0} s", path.display()),
-        kinegrad_audio::Analysis::memory(part.len()),
-        "show a shorter motion, or free memory",
+        &format!("{}: the beats of {length:.0} s", path.display()),
+        kinegrad_audio::Analysis::memory(waveform.samples.len()),
+        "cut the song, or free memory",
     )?;
-    let beats = extract(part).map_err(unusable)?.beats().times();
+    let beats = extract(&waveform.samples)
+        .map_err(unusable)?
+        .beats()
+        .times();
+    let during = |beat: &f64| (from as f64 / rate..=to as f64 / rate).contains(beat);
+    let beats: Vec<f64> = beats.into_iter().filter(during).collect();
     let bytes = read_file(path, LARGEST).map_err(Error::io("read", path))?;
     let ending = path.extension().map(|ending| ending.to_ascii_lowercase());
     let media_type = match ending.as_ref().and_then(|ending| ending.to_str()) {
@@ -61,13 +116,13 @@ pub fn song(music: &Music, seconds: f64) -> Result<Song, Error> {
             media_type,
             bytes,
             start: shift,
-            beats: beats.into_iter().map(|beat| beat + shift).collect(),
+            beats,
         },
         _ => Song {
             media_type: "audio/wav",
             bytes: wav(part),
             start: 0.0,
-            beats,
+            beats: beats.into_iter().map(|beat| beat - shift).collect(),
         },
     })
 }
@@ -110,6 +165,53 @@ mod tests {
             _ => 0.0,
         };
         (0..5 * SAMPLE_RATE).map(sample).collect()
+    }
+
+    #[test]
+    fn beats_of_an_excerpt_are_those_of_the_song() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("song.wav");
+        let long: Vec<f32> = (0..6).flat_map(|_| clicks()).collect();
+        std::fs::write(&path, wav(&long)).unwrap();
+        let beats = |start, seconds| {
+            let music = Music {
+                song: path.clone(),
+                start,
+            };
+            let song = song(&music, seconds).unwrap();
+            let beats = song.beats.iter().map(|beat| beat - song.start + start);
+            beats.collect::<Vec<f64>>()
+        };
+        let all = beats(0.0, 30.0);
+        let during: Vec<f64> = all
+            .into_iter()
+            .filter(|beat| (11.2..15.2).contains(beat))
+            .collect();
+        let part = beats(11.2, 4.0);
+        assert_eq!(part.len(), during.len());
+        assert_eq!(part.len(), 8);
+        assert!(part.iter().zip(during).all(|(a, b)| (a - b).abs() < 1e-6));
+    }
+
+    #[test]
+    fn records_name_the_song() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let song = at("song.mp3");
+        let record = |name: &str, start: f64| {
+            let condition = serde_json::json!({ "song": { "file": song, "start": start } });
+            let text = serde_json::json!({ "seed": 1, "condition": condition }).to_string();
+            std::fs::write(at(name), text).unwrap();
+        };
+        record("a.json", 30.0);
+        let motions = ["a.npy", "none.npy"].map(at);
+        assert!(recorded(&motions).is_none(), "the song is not there");
+        std::fs::write(&song, "").unwrap();
+        let found = recorded(&motions).unwrap();
+        assert_eq!((found.song, found.start), (song.clone(), 30.0));
+        record("b.json", 59.0);
+        assert!(recorded(&["a.npy", "b.npy"].map(at)).is_none());
+        assert!(recorded(&[at("none.npy")]).is_none());
     }
 
     #[test]

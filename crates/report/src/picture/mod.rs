@@ -133,7 +133,8 @@ impl<'a> Sheet<'a> {
     fn png(&self) -> Result<Vec<u8>, Box<dyn Error>> {
         let (width, height) = self.size;
         let mut rgb = vec![0; 3 * width as usize * height as usize];
-        let root = BitMapBackend::with_buffer(&mut rgb, self.size).into_drawing_area();
+        let bitmap = BitMapBackend::with_buffer(&mut rgb, self.size);
+        let root = font::Bitmap(bitmap).into_drawing_area();
         // Wider bitmap strokes have spikes at sharp corners.
         self.draw(&root, 1)?;
         drop(root);

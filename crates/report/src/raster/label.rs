@@ -19,7 +19,8 @@ pub(super) fn write(image: &mut Image, text: &str, (left, top): (u32, u32), widt
         shown.push('…');
     }
     let size = (image.width, image.height);
-    let area = BitMapBackend::with_buffer(&mut image.rgb, size).into_drawing_area();
+    let bitmap = BitMapBackend::with_buffer(&mut image.rgb, size);
+    let area = font::Bitmap(bitmap).into_drawing_area();
     let [r, g, b] = TEXT;
     let colour = RGBColor(r, g, b);
     let style = TextStyle::from(("sans-serif", height).into_font())

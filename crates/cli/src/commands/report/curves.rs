@@ -1,6 +1,6 @@
 //! The curves of a training run.
 
-use kinegrad_report::{Panel, Series};
+use kinegrad_report::Panel;
 use kinegrad_train::telemetry::Record;
 
 /// Scalars that measure time.
@@ -12,29 +12,31 @@ const SPEED: &str = "steps_per_second";
 /// Order of the first scalars.
 const ORDER: [&str; 5] = ["loss", "val_loss", "lr", "grad_norm", SPEED];
 
-/// All scalars over steps; related scalars share a chart. A loss with several terms shows its
-/// terms.
-pub fn charts(records: &[Record]) -> Vec<Panel> {
+/// The metrics of a run, by its name.
+pub type Metrics<'a> = (&'a str, &'a [Record]);
+
+/// All scalars of runs over steps. Of one run, related scalars share a chart, and the terms of a loss
+/// are shown if there are several. Of several runs, each scalar has a chart with a curve per run.
+pub fn charts(runs: &[Metrics<'_>]) -> Vec<Panel> {
     let mut names: Vec<&str> = Vec::new();
-    for (name, _) in records.iter().flat_map(|record| &record.scalars) {
+    let records = runs.iter().flat_map(|(_, records)| *records);
+    for (name, _) in records.flat_map(|record| &record.scalars) {
         if !names.contains(&name.as_str()) && !CLOCK.contains(&name.as_str()) {
             names.push(name);
         }
     }
-    // Records of validations have another speed than training.
-    let counts = |record: &Record, name: &str| name != SPEED || record.get("loss").is_some();
-    let line = |name: &str, prefix: &str| -> Series {
-        let measured = records.iter().filter(|record| counts(record, name));
-        let points = measured.filter_map(|record| Some((record.step as f64, record.get(name)?)));
-        (name[prefix.len()..].to_string(), points.collect())
-    };
-    let chart = |title: &str, names: &[&str], prefix: &str| {
-        let lines = names.iter().map(|name| line(name, prefix));
-        Panel::lines(title, "step", lines.collect())
-    };
     // Colors and places do not depend on the first record.
     let place = |name: &&str| ORDER.iter().position(|known| known == name);
     names.sort_by_key(|name| place(name).unwrap_or(ORDER.len()));
+    let chart = |title: &str, names: &[&str], prefix: &str| {
+        let lines = runs.iter().flat_map(|(run, records)| {
+            names.iter().map(|name| match runs.len() {
+                1 => (name[prefix.len()..].to_string(), points(records, name)),
+                _ => (run.to_string(), points(records, name)),
+            })
+        });
+        Panel::lines(title, "step", lines.collect())
+    };
     let mut charts = Vec::new();
     let mut take = |title: &str, prefix: &str, least: usize, is_one: &dyn Fn(&str) -> bool| {
         let (taken, rest): (Vec<&str>, Vec<&str>) =
@@ -44,15 +46,18 @@ pub fn charts(records: &[Record]) -> Vec<Panel> {
         }
         names = rest;
     };
-    take("loss", "", 0, &|name| ["loss", "val_loss"].contains(&name));
-    for (title, prefix) in [
-        ("terms of the loss", "loss_"),
-        ("terms of the validation loss", "val_loss_"),
-        ("learning rates", "lr_"),
-    ] {
-        take(title, prefix, 2, &|name| name.starts_with(prefix));
+    if runs.len() == 1 {
+        take("loss", "", 0, &|name| ["loss", "val_loss"].contains(&name));
+        for (title, prefix) in [
+            ("terms of the loss", "loss_"),
+            ("terms of the validation loss", "val_loss_"),
+            ("learning rates", "lr_"),
+        ] {
+            take(title, prefix, 2, &|name| name.starts_with(prefix));
+        }
     }
     let titles = [
+        ("val_loss", "validation loss"),
         ("lr", "learning rate"),
         ("grad_norm", "gradient norm"),
         (SPEED, "steps per second"),
@@ -63,6 +68,15 @@ pub fn charts(records: &[Record]) -> Vec<Panel> {
     }
     charts.retain(|chart| !chart.is_empty());
     charts
+}
+
+/// The curve of a scalar over steps.
+fn points(records: &[Record], name: &str) -> Vec<(f64, f64)> {
+    // Records of validations have another speed than training.
+    let counts = |record: &&Record| name != SPEED || record.get("loss").is_some();
+    let measured = records.iter().filter(counts);
+    let points = measured.filter_map(|record| Some((record.step as f64, record.get(name)?)));
+    points.collect()
 }
 
 /// Seconds of training, summed over starts; the records of each start count from zero.
@@ -96,7 +110,7 @@ mod tests {
         let validation = Record::new(1)
             .with("val_loss", 2.5)
             .with("val_loss_position", 2.5);
-        let charts = charts(&[record, validation]);
+        let charts = charts(&[("run", &[record, validation])]);
         let shown: Vec<_> = charts
             .iter()
             .map(|chart| {
@@ -115,6 +129,25 @@ mod tests {
     }
 
     #[test]
+    fn runs_share_the_chart_of_each_scalar() {
+        let record = |loss| {
+            Record::new(1)
+                .with("loss", loss)
+                .with("loss_position", loss)
+        };
+        let [one, two] = [[record(2.0)], [record(1.0).with("lr", 0.1)]];
+        let charts = charts(&[("one", &one), ("two", &two)]);
+        let titles: Vec<&str> = charts.iter().map(Panel::title).collect();
+        assert_eq!(titles, ["loss", "learning rate", "loss_position"]);
+        let curve = |name: &str, points: &[(f64, f64)]| (name.to_string(), points.to_vec());
+        let expected = [curve("one", &[(1.0, 2.0)]), curve("two", &[(1.0, 1.0)])];
+        assert_eq!(charts[0].series(), expected);
+        // A run without a scalar keeps its place, and the others their colors.
+        let expected = [curve("one", &[]), curve("two", &[(1.0, 0.1)])];
+        assert_eq!(charts[1].series(), expected);
+    }
+
+    #[test]
     fn a_validation_before_the_first_step_changes_neither_order_nor_speed() {
         let validation = |step| {
             let record = Record::new(step).with("val_loss", 2.5);
@@ -123,7 +156,8 @@ mod tests {
         let step = Record::new(1)
             .with("loss", 2.0)
             .with("steps_per_second", 3.0);
-        let charts = charts(&[validation(0), step.with("grad_norm", 1.0), validation(1)]);
+        let records = [validation(0), step.with("grad_norm", 1.0), validation(1)];
+        let charts = charts(&[("run", &records)]);
         let titles: Vec<&str> = charts.iter().map(Panel::title).collect();
         assert_eq!(titles, ["loss", "gradient norm", "steps per second"]);
         assert_eq!(charts[0].series()[0].0, "loss");
