@@ -266,7 +266,8 @@ fn compare(golden: &Golden, variant: &Variant) {
         second_stage_guidance: variant.guided[1],
         first_stage_steps: None,
         first_stage_guidance_scale: None,
-        max_shift: None,
+        max_shift: 1e6,
+        attempts: 1,
         guidance: GuidanceConfig {
             norm: variant.norm,
             frame_limit: None,
