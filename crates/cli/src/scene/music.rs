@@ -190,7 +190,7 @@ mod tests {
         let part = beats(11.2, 4.0);
         assert_eq!(part.len(), during.len());
         assert_eq!(part.len(), 8);
-        assert!(part.iter().zip(during).all(|(a, b)| (a - b).abs() < 1e-6));
+        assert!(part.iter().zip(during).all(|(a, b)| (a - b).abs() < 1e-4));
     }
 
     #[test]
