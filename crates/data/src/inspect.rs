@@ -212,15 +212,20 @@ fn inspect_items<T: Listable>(
     for side in [&train, &validation] {
         let failed = |item: &T| {
             let rows = item.rows(&representation);
-            let checks = [Profile::Strict, Profile::Ccmotion].into_iter();
-            let checks = checks.flat_map(|profile| {
+            let mut checks = Vec::new();
+            for profile in [Profile::Strict, Profile::Ccmotion] {
                 let report = representation.check(&rows, profile, statistics.as_ref());
-                let failed = report.checks.into_iter().filter(|check| !check.passed);
-                failed.map(move |check| {
+                for check in report.checks.into_iter().filter(|check| !check.passed) {
                     let (name, message, allowed) = (check.name, check.message, check.threshold);
-                    format!("fails the {profile} check {name}: {message}, {allowed} allowed")
-                })
-            });
+                    if checks.iter().all(|(known, _)| *known != name) {
+                        let text = format!(
+                            "fails the {profile} check {name}: {message}, {allowed} allowed"
+                        );
+                        checks.push((name, text));
+                    }
+                }
+            }
+            let checks = checks.into_iter().map(|(_, text)| text);
             let problems = representation.implausible(&rows).into_iter().chain(checks);
             let problems = problems.map(|problem| (item.id().to_owned(), problem));
             problems.collect::<Vec<_>>()

@@ -247,7 +247,7 @@ impl BodyMeasure {
             Self::RootHeight => {
                 let leg = leg_length(joints, skeleton?)?;
                 let heights = joints.track(0).iter().map(|place| place[1]).collect();
-                Some(mean(median(heights) / leg.max(f64::MIN_POSITIVE)))
+                (leg > f64::EPSILON).then(|| mean(median(heights) / leg))
             }
             Self::LegLength => leg_length(joints, skeleton?).map(mean),
         }

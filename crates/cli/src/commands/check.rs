@@ -21,6 +21,8 @@ use crate::output;
 pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, Error> {
     let mut reports = Vec::new();
     let mut of_people = false;
+    // The statistics of files with so many channels.
+    let mut measured: Option<(usize, Option<Statistics>)> = None;
     let mut files = motion_files(&arguments.paths, &["npy"])?;
     if arguments.raw {
         files = with_raw(files);
@@ -39,8 +41,13 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
             Motion::Points(joints, error) => return Err(unknown(&path, joints.joints(), &error)),
             Motion::Bvh(_) => unreachable!("refused above"),
         };
-        let statistics = statistics(&arguments, state.as_ref(), &*array.representation)?;
-        let (representation, statistics) = (array.representation, statistics.as_ref());
+        let representation = array.representation;
+        let channels = representation.stored_channels();
+        if measured.as_ref().is_none_or(|(of, _)| *of != channels) {
+            let found = statistics(&arguments, state.as_ref(), &*representation)?;
+            measured = Some((channels, found));
+        }
+        let statistics = measured.as_ref().and_then(|(_, found)| found.as_ref());
         let report = representation.check(&array.values, arguments.profile, statistics);
         of_people |= strict && statistics.is_none_or(|known| known.movement.is_empty());
         reports.push((path.display().to_string(), report));
