@@ -188,7 +188,11 @@ fn clips_are_counted_and_what_is_wrong_is_listed() {
         .collect();
     assert_eq!(
         problems,
-        [("walk_00001", true), ("walk_00003", false)],
+        [
+            ("walk_00001", true),
+            ("walk_00003", false),
+            ("walk_00003", false)
+        ],
         "{found:?}"
     );
     assert!(

@@ -242,11 +242,11 @@ fn movement<R: Representation>(representation: &R, rows: &[f32]) -> Vec<(&'stati
 fn velocities(features: &Features) -> Check {
     let (joints, turns) = (features.joints(), features.root_quaternions());
     let [mut error, mut size] = [0.0; 2];
-    for t in 0..features.frames().saturating_sub(1) {
+    for (t, turn) in turns.into_iter().enumerate().take(joints.frames() - 1) {
         let stated = &features.frame(t)[features.layout().velocities()];
         let steps = joints.frame(t + 1).iter().zip(joints.frame(t));
         for ((next, here), stated) in steps.zip(stated.as_chunks::<3>().0) {
-            let step = turns[t].rotate(minus(*next, *here));
+            let step = turn.rotate(minus(*next, *here));
             error += length(minus(step, stated.map(f64::from)));
             size += length(step);
         }

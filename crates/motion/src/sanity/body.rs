@@ -17,8 +17,8 @@ const ALONG: f64 = 0.9;
 /// Largest distance of the lowest joint from the floor, along the axis on which a body stands, metres.
 const STANDS: f64 = 0.2;
 
-/// Checks the joints of `rows`. `strict` compares with the motion of `statistics` where they have the
-/// measures; the bounds of other measures are those of captured people.
+/// Checks the joints of `rows`. `strict` compares the measures of movement with the motion of
+/// `statistics`, or with captured people where these lack them; `ccmotion` does not measure movement.
 pub(crate) fn check<R: Representation + ?Sized>(
     representation: &R,
     rows: &[f32],
@@ -40,17 +40,16 @@ pub(crate) fn check<R: Representation + ?Sized>(
     if profile == Profile::Ccmotion {
         return Report::new(checks);
     }
-    let training = statistics;
-    if let Some(rms_speed) = training.and_then(|training| training.rms_speed) {
+    if let Some(rms_speed) = statistics.and_then(|training| training.rms_speed) {
         checks.push(speed(joints, fps, rms_speed));
     }
     if skeleton.is_some() {
-        let jerk_p95 = training.and_then(|training| training.jerk_p95);
+        let jerk_p95 = statistics.and_then(|training| training.jerk_p95);
         checks.extend(jerk(joints, fps, jerk_p95.unwrap_or(people::JERK_P95)));
     }
     let people = people::bodies();
     for measure in BodyMeasure::ALL {
-        let known = training.and_then(|training| training.movement.get(measure.name()));
+        let known = statistics.and_then(|training| training.movement.get(measure.name()));
         let bounds = known.or_else(|| people.get(measure.name())).copied();
         let threshold = bounds.and_then(|bounds| measure.bounds().threshold(bounds, 1.0));
         if let (Some(threshold), Some(value)) = (threshold, measure.of(joints, skeleton, fps)) {
