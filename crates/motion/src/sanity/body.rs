@@ -43,10 +43,9 @@ pub(crate) fn check<R: Representation + ?Sized>(
     if let Some(rms_speed) = statistics.and_then(|training| training.rms_speed) {
         checks.push(speed(joints, fps, rms_speed));
     }
-    if skeleton.is_some() {
-        let jerk_p95 = statistics.and_then(|training| training.jerk_p95);
-        checks.extend(jerk(joints, fps, jerk_p95.unwrap_or(people::JERK_P95)));
-    }
+    let jerk_p95 = statistics.and_then(|training| training.jerk_p95);
+    let jerk_p95 = jerk_p95.or(skeleton.map(|_| people::JERK_P95));
+    checks.extend(jerk_p95.and_then(|jerk_p95| jerk(joints, fps, jerk_p95)));
     let people = people::bodies();
     for measure in BodyMeasure::ALL {
         let known = statistics.and_then(|training| training.movement.get(measure.name()));
