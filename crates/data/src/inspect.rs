@@ -212,20 +212,15 @@ fn inspect_items<T: Listable>(
     for side in [&train, &validation] {
         let failed = |item: &T| {
             let rows = item.rows(&representation);
-            let mut checks = Vec::new();
-            for profile in [Profile::Strict, Profile::Ccmotion] {
+            let checks = [Profile::Strict, Profile::Ccmotion].into_iter();
+            let checks = checks.flat_map(|profile| {
                 let report = representation.check(&rows, profile, statistics.as_ref());
-                for check in report.checks.into_iter().filter(|check| !check.passed) {
+                let failed = report.checks.into_iter().filter(|check| !check.passed);
+                failed.map(move |check| {
                     let (name, message, allowed) = (check.name, check.message, check.threshold);
-                    if checks.iter().all(|(known, _)| *known != name) {
-                        let text = format!(
-                            "fails the {profile} check {name}: {message}, {allowed} allowed"
-                        );
-                        checks.push((name, text));
-                    }
-                }
-            }
-            let checks = checks.into_iter().map(|(_, text)| text);
+                    format!("fails the {profile} check {name}: {message}, {allowed} allowed")
+                })
+            });
             let problems = representation.implausible(&rows).into_iter().chain(checks);
             let problems = problems.map(|problem| (item.id().to_owned(), problem));
             problems.collect::<Vec<_>>()
