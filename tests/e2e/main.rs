@@ -9,6 +9,7 @@ mod bodies;
 mod captions;
 mod checking;
 mod checkpoints;
+mod clip_datasets;
 mod clip_lengths;
 mod commands;
 mod compose;

@@ -119,7 +119,7 @@ fn ways_of_held_out_clips_are_followed_and_measured() {
             assert!(off_the_circle(&joints) < 0.02, "{method}");
         }
     }
-    // A path beyond the legs is followed as far as they reach, and both lengths are told.
+    // A path beyond the legs is followed as far as they reach, and both lengths are reported.
     sandbox.write("long.toml", "points = [[0, 0], [0, 60]]\n");
     let said = sandbox
         .run("sample runs/bpe --path long.toml --method warp --frames 40 --out long")

@@ -33,7 +33,7 @@ impl FrameMatrix {
     /// The `width` values of frame `t`.
     ///
     /// # Panics
-    /// Panics if there is no frame `t`.
+    /// Panics if `t` is not a frame.
     pub fn frame(&self, t: usize) -> &[f32] {
         &self.values[t * self.width..(t + 1) * self.width]
     }

@@ -122,7 +122,7 @@ pub enum Error {
         kind: &'static str,
         /// Its id.
         id: String,
-        /// The problem. It is no `source`, because the message contains the problem.
+        /// The problem. The field is not named `source`: the message already contains it.
         cause: Box<FileError>,
         /// The hint.
         hint: String,

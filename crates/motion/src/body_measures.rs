@@ -1,8 +1,7 @@
 //! Measures of how a body moves, from the positions of its joints.
 
-use crate::derivatives::jerk_of;
 use crate::humanml::{Joints, Skeleton};
-use crate::metrics::sliding_ratio;
+use crate::metrics::{fastest_step, jerk_norms, lowest_heights, sliding_ratio};
 use crate::quantiles::{median, percentile};
 use crate::sanity::{Bounds, FACTOR, Margin};
 use crate::vector::{dot, length, minus, plus};
@@ -48,7 +47,7 @@ pub enum BodyMeasure {
 pub struct BodyValue {
     /// The value, in the measure's unit.
     pub value: f64,
-    /// First of the frames, if the value is an extreme.
+    /// The frame of an extreme; of a step the frame that it ends in.
     pub frame: Option<usize>,
     /// The joint, if the value is an extreme over joints.
     pub joint: Option<usize>,
@@ -158,11 +157,12 @@ impl BodyMeasure {
         }
         let frames = joints.frames();
         let steps = 0..frames - 1;
-        let mean = |value: f64| BodyValue {
+        let peak = |value, frame, joint| BodyValue {
             value,
-            frame: None,
-            joint: None,
+            frame,
+            joint,
         };
+        let mean = |value: f64| peak(value, None, None);
         let step =
             |t: usize, joint: usize| minus(joints.frame(t + 1)[joint], joints.frame(t)[joint]);
         let joint_speed = |(t, joint): (usize, usize)| fps * length(step(t, joint));
@@ -175,26 +175,18 @@ impl BodyMeasure {
                 .clone()
                 .flat_map(|t| (0..joints.joints()).map(move |j| (t, j)))
         };
-        let lowest = |t: usize| extreme(joints.frame(t).iter().map(|place| -place[1]).enumerate());
         match self {
             Self::FastestRoot => {
-                extreme(steps.map(|t| (t, root_speed(t)))).map(|(t, value)| BodyValue {
-                    value,
-                    frame: Some(t),
-                    joint: Some(0),
-                })
+                let ground = joints.track(0).into_iter().map(|[x, _, z]| [x, z]);
+                let fastest = fastest_step(&ground.collect::<Vec<_>>(), fps)?;
+                Some(peak(fastest.speed, Some(fastest.frame), Some(0)))
             }
             Self::FastestJoint => {
-                extreme(each().map(|at| (at, joint_speed(at)))).map(|((t, j), value)| BodyValue {
-                    value,
-                    frame: Some(t),
-                    joint: Some(j),
-                })
+                let fastest = extreme(each().map(|at| (at, joint_speed(at))));
+                fastest.map(|((t, joint), value)| peak(value, Some(t + 1), Some(joint)))
             }
             Self::Jerk99 => {
-                let of_joint = |joint| jerk_of(&joints.track(joint), fps);
-                let jerks = (0..joints.joints()).flat_map(of_joint).map(length);
-                let jerks: Vec<f64> = jerks.collect();
+                let jerks = jerk_norms(joints, fps);
                 (!jerks.is_empty()).then(|| mean(percentile(jerks, 99.0)))
             }
             Self::LargestTurn => {
@@ -209,11 +201,8 @@ impl BodyMeasure {
                     let cosine = dot(a, b) / (length(a) * length(b)).max(f64::MIN_POSITIVE);
                     fps * cosine.clamp(-1.0, 1.0).acos().to_degrees()
                 };
-                extreme(steps.map(|t| (t, turn(t)))).map(|(t, value)| BodyValue {
-                    value,
-                    frame: Some(t),
-                    joint: None,
-                })
+                let largest = extreme(steps.map(|t| (t, turn(t))));
+                largest.map(|(t, value)| peak(value, Some(t + 1), None))
             }
             Self::StillShare => {
                 let moves =
@@ -233,17 +222,12 @@ impl BodyMeasure {
                 sliding_ratio(joints, fps, &[left, right]).map(mean)
             }
             Self::Lowest => {
-                let of_frame = |t| lowest(t).map(|(joint, height)| ((t, joint), height));
-                extreme((0..frames).filter_map(of_frame)).map(|((t, joint), height)| BodyValue {
-                    value: -height,
-                    frame: Some(t),
-                    joint: Some(joint),
-                })
+                let depth = |(t, joint): (usize, usize)| -joints.frame(t)[joint][1];
+                let all = (0..frames).flat_map(|t| (0..joints.joints()).map(move |j| (t, j)));
+                let lowest = extreme(all.map(|at| (at, depth(at))));
+                lowest.map(|((t, joint), depth)| peak(-depth, Some(t), Some(joint)))
             }
-            Self::Floating => {
-                let heights = (0..frames).filter_map(lowest).map(|(_, height)| -height);
-                Some(mean(median(heights.collect())))
-            }
+            Self::Floating => Some(mean(median(lowest_heights(joints)))),
             Self::RootHeight => {
                 let leg = leg_length(joints, skeleton?)?;
                 let heights = joints.track(0).iter().map(|place| place[1]).collect();

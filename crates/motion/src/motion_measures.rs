@@ -22,6 +22,12 @@ const HEIGHT_MARGIN: Margin = Margin {
     least: 0.05,
 };
 
+/// The same of the lowest height: a dancer may dip deeper than any of the training phrases.
+const DIP_MARGIN: Margin = Margin {
+    share: 0.25,
+    least: 0.05,
+};
+
 /// Tilt in degrees that is always allowed.
 const HARMLESS_TILT: f64 = 20.0;
 
@@ -154,7 +160,7 @@ impl MotionMeasure {
             },
             Self::PhaseRate => Bounds::Both(PHASE_FACTOR),
             Self::Height => Bounds::Around(HEIGHT_MARGIN),
-            Self::LowestHeight => Bounds::NotBelow(HEIGHT_MARGIN),
+            Self::LowestHeight => Bounds::NotBelow(DIP_MARGIN),
             Self::HighestHeight => Bounds::NotAbove(HEIGHT_MARGIN),
             Self::NetTravel | Self::PhaseWraps => Bounds::Unchecked,
             _ => Bounds::Both(FACTOR),

@@ -4,7 +4,7 @@ cores, and compares memory beyond the weights.
 
     scripts/peer/flowmdm/compare.py [--rounds N] [--frames T] COMPOSE_SPEED
 
-COMPOSE_SPEED is the program of `cargo build --release -p kinegrad-models --example compose_speed`. Needs
+COMPOSE_SPEED is the program of `cargo build --release -p kinegrad-bpe-transformer --example compose_speed`. Needs
 torch.
 """
 

@@ -101,7 +101,7 @@ impl Bvh {
     /// The numbers of frame `t`, `[channels]`, in file units and degrees.
     ///
     /// # Panics
-    /// Panics if there is no frame `t`.
+    /// Panics if `t` is not a frame.
     pub fn frame(&self, t: usize) -> &[f64] {
         &self.values[t * self.channels..(t + 1) * self.channels]
     }

@@ -10,7 +10,7 @@ impl Bvh {
     /// Place and orientation of every joint in frame `t`, `[joints]`, in the file's units and axes.
     ///
     /// # Panics
-    /// Panics if there is no frame `t`.
+    /// Panics if `t` is not a frame.
     pub fn world(&self, t: usize) -> Vec<RootPose> {
         let mut world: Vec<RootPose> = Vec::with_capacity(self.joints.len());
         for (joint, local) in self.joints.iter().zip(self.local_poses(t)) {
@@ -26,7 +26,7 @@ impl Bvh {
     /// units and axes.
     ///
     /// # Panics
-    /// Panics if there is no frame `t`.
+    /// Panics if `t` is not a frame.
     pub fn local_poses(&self, t: usize) -> impl Iterator<Item = RootPose> {
         self.joints.iter().map(move |joint| self.local(joint, t))
     }

@@ -8,7 +8,7 @@ impl Bvh {
     /// Like [`world`](Self::world), but relative to the parents.
     ///
     /// # Panics
-    /// Panics if there is no frame `t`.
+    /// Panics if `t` is not a frame.
     pub fn locals(&self, t: usize) -> Vec<RootPose> {
         let joints = self.joints.iter();
         joints.map(|joint| self.local(joint, t)).collect()

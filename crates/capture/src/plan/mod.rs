@@ -82,7 +82,7 @@ pub struct SplitPlan {
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub test: Vec<String>,
     /// Fraction of the takes with the same labels that is the test set if `test` is empty: the last
-    /// takes by number, after those of `fraction`. The default is no test set.
+    /// takes by number, after those of `fraction`. By default the test set is empty.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub test_fraction: Option<f64>,
 }

@@ -29,7 +29,7 @@ pub fn run(systems: Systems<'_>, arguments: ReportArguments) -> Result<ExitCode,
         let stages = stages(systems, &run);
         if !is_run(folder) && stages.is_empty() {
             return Err(Error::usage(
-                format!("there is no run at {}", folder.display()),
+                format!("{} is not a run", folder.display()),
                 "give a run's folder, such as runs/quickstart; `kinegrad runs` lists them",
             ));
         }

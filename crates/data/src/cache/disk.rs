@@ -58,7 +58,7 @@ impl DiskCache {
         Some(bytes)
     }
 
-    /// Stores `bytes`; a full disk is no error.
+    /// Stores `bytes`. A full disk is not an error: the item is read from its source again.
     pub fn put(&self, digest: &Digest, bytes: &[u8]) {
         if bytes.len() as u64 > self.limit {
             return;

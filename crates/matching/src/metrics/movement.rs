@@ -21,9 +21,9 @@ const TURN: f64 = 2.0;
 const STILLER: f64 = 0.05;
 /// Smallest mean speed, as a part of the examples'.
 const SLOWEST: f64 = 0.6;
-/// Toe speed in body heights a second, and degrees of a turn, that are within every bound.
-const UNSEEN_TOE: f64 = 0.005;
-const UNSEEN_TURN: f64 = 10.0;
+/// Toe speed in body heights a second, and degrees of a turn, that are always allowed.
+const HARMLESS_TOE: f64 = 0.005;
+const HARMLESS_TURN: f64 = 10.0;
 
 /// Physical measures of motions, in file units and seconds.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -211,8 +211,8 @@ impl Reference {
 }
 
 impl Quality {
-    /// `unseen`: toe speed that is within the bound in any case, in body heights a second.
-    fn bounded(&self, unseen: f64) -> Vec<Bounded> {
+    /// `harmless`: toe speed that is always allowed, in body heights a second.
+    fn bounded(&self, harmless: f64) -> Vec<Bounded> {
         let (motion, examples) = (&self.motion, &self.examples);
         let bounded = |name, value, example, bound, at| Bounded {
             name,
@@ -225,14 +225,14 @@ impl Quality {
         if let (Some(toe), Some(example)) =
             (motion.toe_speed_while_low, examples.toe_speed_while_low)
         {
-            let bound = (TOE * example).max(unseen * self.height);
+            let bound = (TOE * example).max(harmless * self.height);
             let name = "toe speed while low";
             all.push(bounded(name, toe, example, bound, String::new()));
         }
         let (jerk, fastest) = (examples.jerk, examples.fastest_joint);
         let (frame, joint) = &motion.fastest_at;
         let at = format!(" ({joint}, frame {frame})");
-        let turn = (TURN * examples.largest_turn).max(UNSEEN_TURN);
+        let turn = (TURN * examples.largest_turn).max(HARMLESS_TURN);
         let turned = format!(" (frame {})", motion.turn_at);
         let still = examples.still_share;
         all.extend([
@@ -275,7 +275,7 @@ impl Quality {
     /// The measures beyond their bounds, each with its value, that of the examples, the bound, and
     /// frame and joint.
     pub fn beyond(&self) -> Vec<String> {
-        let bounded = self.bounded(UNSEEN_TOE).into_iter();
+        let bounded = self.bounded(HARMLESS_TOE).into_iter();
         let beyond = bounded.filter(|each| each.value > each.bound);
         let text = |each: Bounded| {
             format!(

@@ -2,12 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::skating_ratio;
-use crate::derivatives::jerk_of;
+use super::{jerk_norms, lowest_heights, skating_ratio};
 use crate::humanml::{Joints, Skeleton};
 use crate::moments::mean;
 use crate::quantiles::percentile;
-use crate::vector::length;
 
 /// A body whose lowest joint is further above the floor floats, metres.
 pub const FLOATING: f64 = 0.03;
@@ -34,17 +32,13 @@ impl BodyQuality {
     /// Measures of `joints` of `skeleton` above a floor of that height.
     pub fn of(joints: &Joints, skeleton: &Skeleton, floor: f64) -> Self {
         let (fps, feet) = (skeleton.description().fps, skeleton.contact_joints());
-        let lowest = |t: usize| {
-            let heights = joints.frame(t).iter().map(|place| place[1]);
-            heights.fold(f64::INFINITY, f64::min) - floor
-        };
-        let lowest: Vec<f64> = (0..joints.frames()).map(lowest).collect();
+        let lowest = lowest_heights(joints).into_iter();
+        let lowest: Vec<f64> = lowest.map(|height| height - floor).collect();
         let floats = lowest
             .iter()
             .map(|height| f64::from(u8::from(*height > FLOATING)));
         let floating = mean(floats);
-        let jerks = (0..joints.joints()).flat_map(|joint| jerk_of(&joints.track(joint), fps));
-        let jerks: Vec<f64> = jerks.map(length).collect();
+        let jerks = jerk_norms(joints, fps);
         let any = |of: &dyn Fn() -> f64| (!jerks.is_empty()).then(of);
         Self {
             lowest_joint: Some(percentile(lowest, 95.0)),

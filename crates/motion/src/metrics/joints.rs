@@ -2,6 +2,7 @@
 
 use crate::derivatives::{jerk_of, mean_norm};
 use crate::humanml::Joints;
+use crate::vector::length;
 
 /// Height below which a foot stands on the ground, metres.
 pub const SKATING_HEIGHT: f64 = 0.05;
@@ -67,6 +68,22 @@ pub fn skating_steps(joints: &Joints, fps: f64, foot: usize) -> Vec<SkatingStep>
         }
     };
     speeds.iter().enumerate().map(step).collect()
+}
+
+/// Jerk norms of all joints, metres per second cubed, one joint after another; empty below four frames.
+pub fn jerk_norms(joints: &Joints, fps: f64) -> Vec<f64> {
+    let of_joint = |joint| jerk_of(&joints.track(joint), fps);
+    let jerks = (0..joints.joints()).flat_map(of_joint);
+    jerks.map(length).collect()
+}
+
+/// Height of the lowest joint of each frame, metres, `[frames]`.
+pub fn lowest_heights(joints: &Joints) -> Vec<f64> {
+    let lowest = |t: usize| {
+        let heights = joints.frame(t).iter().map(|place| place[1]);
+        heights.fold(f64::INFINITY, f64::min)
+    };
+    (0..joints.frames()).map(lowest).collect()
 }
 
 /// Mean jerk norm over joints and frames, metres per second cubed; `None` for fewer than four

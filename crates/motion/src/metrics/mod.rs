@@ -25,8 +25,8 @@ pub use frechet::{FeatureMoments, frechet_distance, trajectory_features};
 pub use goal::{GoalReport, GoalSample, keyframe_distances};
 pub use ground::{Clearance, PathStep, clearance, fastest_step, step_speeds};
 pub use joints::{
-    SKATING_HEIGHT, SKATING_SPEED, SkatingStep, mean_jerk, skating_ratio, skating_steps,
-    sliding_ratio,
+    SKATING_HEIGHT, SKATING_SPEED, SkatingStep, jerk_norms, lowest_heights, mean_jerk,
+    skating_ratio, skating_steps, sliding_ratio,
 };
 pub use phase::phase_error;
 pub use transitions::{BABEL_JERK, HUMANML3D_JERK, TransitionJerk, jerk_of_frames};

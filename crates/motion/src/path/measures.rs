@@ -82,8 +82,8 @@ impl PathReport {
     }
 }
 
-/// Metres along a path that a root covers which begins at its start: in each frame the nearest point
-/// that is no further ahead than twice the root's step. It never goes back.
+/// Metres along a path that a root covers, which begins at the path's start. In each frame the root
+/// has come to the nearest point ahead, at most twice its step away; a step back does not count.
 pub fn travelled(path: &Polyline, track: &[[f64; 2]]) -> f64 {
     const TRIALS: usize = 32;
     track.windows(2).fold(0.0, |metres, pair| {

@@ -35,7 +35,7 @@ pub(crate) fn check<R: Representation + ?Sized>(
     let (fps, skeleton) = (representation.fps(), representation.skeleton());
     if let Some(skeleton) = skeleton {
         checks.push(bone_length(joints, skeleton));
-        checks.extend(lies_along(joints, skeleton));
+        checks.extend(up_axis(joints, skeleton));
     }
     if profile == Profile::Ccmotion {
         return Report::new(checks);
@@ -72,7 +72,7 @@ fn message(measure: BodyMeasure, value: BodyValue, skeleton: Option<&Skeleton>) 
 }
 
 /// A check that fails where a body stands along another axis than y.
-fn lies_along(joints: &Joints, skeleton: &Skeleton) -> Option<Check> {
+fn up_axis(joints: &Joints, skeleton: &Skeleton) -> Option<Check> {
     let [left, _, right, _] = skeleton.contact_joints();
     let face = skeleton.description().face_joints;
     let mut axis = [0.0; 3];

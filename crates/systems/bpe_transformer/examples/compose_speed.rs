@@ -2,7 +2,7 @@
 //! random weights. `scripts/peer/flowmdm/compare.py` runs this example beside PyTorch.
 //!
 //! ```sh
-//! cargo run --release -p kinegrad-models --example compose_speed -- FRAMES STEPS
+//! cargo run --release -p kinegrad-bpe-transformer --example compose_speed -- FRAMES STEPS
 //! ```
 //!
 //! The example prints the median seconds of a step, and the memory added by steps in MiB. For
@@ -35,7 +35,7 @@ fn main() {
     let network = BlendedConfig::flowmdm()
         .init(263, 512, &init)
         .expect("valid");
-    // RandomInputs the weights.
+    // Initializes the lazy weights.
     let network = network.valid();
     let _ = kinegrad_models::parameters::values(&network).len();
     let texts = frames.div_ceil(SEGMENT);
@@ -62,7 +62,7 @@ fn main() {
         random("x", [1, 263, frames]),
         random("text", [texts, 512, 1]),
     );
-    // RandomInputs the weights.
+    // Initializes the lazy weights.
     let short = Composed {
         network: &network,
         path: None,

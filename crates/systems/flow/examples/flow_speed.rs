@@ -1,7 +1,7 @@
 //! Speed of the flow networks at the published size, with random weights.
 //!
 //! ```sh
-//! RAYON_NUM_THREADS=1 cargo run --release -p kinegrad-models --example flow_speed
+//! RAYON_NUM_THREADS=1 cargo run --release -p kinegrad-flow --example flow_speed
 //! ```
 //!
 //! The example prints a rollout's frames per second by solver and number of steps. It also prints

@@ -2,7 +2,7 @@
 //! predicted once, with the condition only and with guidance.
 //!
 //! ```sh
-//! cargo run --release -p kinegrad-train --example predict_once -- runs/gmd_motion 0 20 100
+//! cargo run --release -p kinegrad-gmd --example predict_once -- runs/gmd_motion 0 20 100
 //! ```
 //!
 //! For each timestep and scale, the example prints mean distances from the clip (root; other joints

@@ -32,7 +32,7 @@ pub struct SteeringConfig {
     pub scale: f64,
     /// Largest shift of a frame by guidance in one step, over all channels of the network's space,
     /// in standard deviations of the step's noise: without a limit, small models diverge. Not in the
-    /// paper; a large number such as 1e6 is no limit.
+    /// paper; a large number such as 1e6 removes the limit.
     pub max_shift: f64,
     /// Maximum number of samples of a clip with a goal. A sample is replaced by one of other noise if
     /// its root moves faster than 1.5 times the fastest training step, is inside an obstacle, or
@@ -113,7 +113,7 @@ impl SteeringConfig {
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         in_range("scale", self.scale, 0.0..)?;
         in_range("max_shift", self.max_shift, ABOVE_ZERO)
-            .hint("standard deviations of a step's noise; 1e6 is no limit")?;
+            .hint("standard deviations of a step's noise; 1e6 removes the limit")?;
         in_range("attempts", self.attempts, 1..=100)?;
         self.guidance.validate().within("guidance")?;
         self.schedule.validate().within("schedule")

@@ -387,7 +387,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_path_that_asks_for_more_than_training_saw_is_told() {
+    fn a_path_beyond_the_speeds_of_training_is_reported() {
         let mut statistics = Statistics::new(vec![0.1, 0.0, 0.2], vec![0.02, 1.0, 0.01], None);
         let of = |statistics: &Statistics| Fastest::of(statistics, 0, 20.0);
         let known = statistics.as_mut().expect("statistics");

@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn a_path_out_of_bounds_is_told_with_its_frame() {
+    fn a_path_out_of_bounds_is_reported_with_its_frame() {
         let good = record(&[[0.0, 0.0], [0.0, 0.1], [0.0, 0.2]]);
         assert_eq!((good.excess(), good.warning("walk")), (0.0, None));
         // 3.2 m/s is twice the fastest step.

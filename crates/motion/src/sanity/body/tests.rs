@@ -172,7 +172,7 @@ fn extremes_name_frame_and_joint() {
     let report = representation.check(&rows, Profile::Strict, None);
     let message = &report.check("fastest_joint").expect("a check").message;
     assert!(
-        message.ends_with("in frame 30, joint left_wrist"),
+        message.ends_with("in frame 31, joint left_wrist"),
         "{message}"
     );
 }

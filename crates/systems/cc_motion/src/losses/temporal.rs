@@ -73,7 +73,7 @@ pub struct TemporalLossConfig {
     pub target_vel_coherence: f64,
     /// Meters per second squared.
     pub target_accel_coherence: f64,
-    /// Dot product of consecutive quaternions above which there is no penalty.
+    /// Dot product of consecutive quaternions above which the penalty is zero.
     pub target_quat_delta: f64,
     /// Radians per second.
     pub target_angular_velocity: f64,
