@@ -246,7 +246,7 @@ fn a_page_needs_a_run_and_a_place() {
     let sandbox = sandbox();
     fs::create_dir(sandbox.path("empty")).expect("a folder");
     for run in ["empty", "nowhere", "c.toml"] {
-        let said = format!("there is no run at {run}");
+        let said = format!("{run} is not a run");
         sandbox
             .run(&format!("report {run}"))
             .failed(2, &[&said, "hint:"]);
@@ -449,7 +449,7 @@ fn runs_are_plotted_and_reported_together() {
     for (command, problem) in [
         ("plot runs/one c.toml --out q.svg", "c.toml is not a run"),
         ("plot runs/one nowhere --out q.svg", "a run at nowhere"),
-        ("report runs/one nowhere", "there is no run at nowhere"),
+        ("report runs/one nowhere", "nowhere is not a run"),
     ] {
         sandbox.run(command).failed(2, &[problem]);
     }
