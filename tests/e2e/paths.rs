@@ -180,7 +180,10 @@ fn clips_of_goals_follow_a_path_from_a_file() {
         assert_eq!(record["path"]["file"], "quarter.toml");
         let report = &record["path"]["report"];
         let number = |key: &str| report[key].as_f64().expect("a number");
-        assert!((number("asked") - 3.14).abs() < 0.02, "{report}");
+        assert!(
+            (number("asked") - std::f64::consts::PI).abs() < 0.02,
+            "{report}"
+        );
         assert!(
             (number("travelled") - number("asked")).abs() < 0.05,
             "{report}"
