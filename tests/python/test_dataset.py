@@ -106,7 +106,7 @@ def test_clips(clips):
     item = dataset[0]
     assert item["motion"].shape[1] == 263 and isinstance(item["captions"], list)
     batch = next(dataset.batches(batch_size=3))
-    assert batch["motion"].shape == (3, 263, 64) and batch["text"].shape == (3, 512, 1)
+    assert batch["motion"].shape == (3, 263, 80) and batch["text"].shape == (3, 512, 1)
     assert dataset.fps == 20
 
 
