@@ -27,20 +27,38 @@ impl GroundTargets {
     /// The keyframes and straight lines between keyframes, at constant speed. Without a keyframe in
     /// frame 0, the line begins there at the origin. Frames after the last keyframe have no target.
     pub fn point_to_point(keyframes: &[Keyframe], frames: usize) -> Self {
+        Self::along_lines(keyframes, frames, |from, to, steps| {
+            let at = |step| {
+                let share = step as f64 / steps as f64;
+                [0, 1].map(|i| from[i] + (to[i] - from[i]) * share)
+            };
+            (0..steps).map(at).collect()
+        })
+    }
+
+    /// [`point_to_point`](Self::point_to_point) with the positions of `line(from, to, steps)`: one
+    /// for each step, from the position `from` on and before the position `to`.
+    pub(super) fn along_lines(
+        keyframes: &[Keyframe],
+        frames: usize,
+        line: impl Fn([f64; 2], [f64; 2], usize) -> Vec<[f64; 2]>,
+    ) -> Self {
         let mut ordered: Vec<&Keyframe> = keyframes.iter().collect();
         ordered.sort_by_key(|keyframe| keyframe.frame);
-        let mut line = Self::points(keyframes, frames);
+        let mut targets = Self::points(keyframes, frames);
         let (mut first, mut from) = (0, [0.0; 2]);
         for keyframe in ordered {
             let to = keyframe.position();
-            let steps = (keyframe.frame - first) as f64;
-            for frame in first..keyframe.frame {
-                let share = (frame - first) as f64 / steps;
-                line.targets[frame] = Some([0, 1].map(|i| from[i] + (to[i] - from[i]) * share));
+            let frames = &mut targets.targets[first..keyframe.frame];
+            if !frames.is_empty() {
+                let between = line(from, to, frames.len());
+                for (target, position) in frames.iter_mut().zip(between) {
+                    *target = Some(position);
+                }
             }
             (first, from) = (keyframe.frame, to);
         }
-        line
+        targets
     }
 
     /// A position for each frame from `first_frame` on.

@@ -32,6 +32,7 @@
 //! points = [[0.0, 0.0], [0.0, 0.05], [0.01, 0.1]]
 //! ```
 
+mod detour;
 mod feasibility;
 mod ground_targets;
 mod guidance;
@@ -239,15 +240,6 @@ impl Goal {
             return self.points();
         }
         GroundTargets::point_to_point(&self.keyframes, self.frames)
-    }
-
-    /// The positions that are used in a phase of the sampler.
-    pub fn targets(&self, phase: Phase) -> Option<GroundTargets> {
-        match phase {
-            Phase::Dense => Some(self.dense()),
-            Phase::Points => Some(self.points()),
-            Phase::Off => None,
-        }
     }
 }
 

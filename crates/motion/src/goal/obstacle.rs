@@ -51,6 +51,18 @@ impl Obstacle {
         })
     }
 
+    /// Its extent along x and z, `[least, greatest]` of each.
+    pub(super) fn bounds(&self) -> [[f64; 2]; 2] {
+        match self {
+            &Self::Disc { x, z, radius } => [x, z].map(|center| [center - radius, center + radius]),
+            Self::Polygon { vertices } => [0, 1].map(|axis| {
+                let along = vertices.iter().map(|vertex| vertex[axis]);
+                let none = [f64::INFINITY, f64::NEG_INFINITY];
+                along.fold(none, |[low, high], at| [low.min(at), high.max(at)])
+            }),
+        }
+    }
+
     /// The [signed distance](Self::signed_distance) and its gradient, a unit vector. The first of
     /// several nearest edges counts. The gradient on an edge is the outward normal, and at a disc's
     /// center +x.

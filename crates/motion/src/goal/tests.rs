@@ -114,16 +114,17 @@ fn a_goal_without_contents_or_frames_is_refused() {
 }
 
 #[test]
-fn phases_choose_the_line_or_the_points() {
+fn the_line_is_left_out_or_goes_around_among_obstacles() {
     let mut goal = Goal::new(5);
     goal.keyframes = vec![keyframe(2, 2.0, 0.0)];
-    let masked = |goal: &Goal, phase| goal.targets(phase).map(|targets| targets.masked().count());
-    assert_eq!(masked(&goal, Phase::Dense), Some(3));
-    assert_eq!(masked(&goal, Phase::Points), Some(1));
-    assert_eq!(masked(&goal, Phase::Off), None);
+    let masked = |targets: GroundTargets| targets.masked().count();
+    assert_eq!((masked(goal.dense()), masked(goal.points())), (3, 1));
     // A line could cross an obstacle.
     goal.obstacles = vec![disc(0.0, 5.0, 1.0)];
-    assert_eq!(masked(&goal, Phase::Dense), Some(1));
+    assert_eq!(
+        (masked(goal.dense()), masked(goal.around_obstacles())),
+        (1, 3)
+    );
 }
 
 #[test]

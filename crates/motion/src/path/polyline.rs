@@ -41,7 +41,7 @@ impl Polyline {
     }
 
     /// The polyline through finite points, possibly beyond the range of user input.
-    pub(super) fn through(points: Vec<[f64; 2]>) -> Self {
+    pub(crate) fn through(points: Vec<[f64; 2]>) -> Self {
         let cumulative = walked(&points);
         Self { points, cumulative }
     }

@@ -77,14 +77,23 @@ impl<'a> StageSteering<'a> {
         model: StageModel<'a>,
     ) -> Result<Self, Error> {
         let loss = GuidanceLoss::new(&config.guidance, goals, model.frames)?;
-        let known = |phase| model.known(goals.iter().filter_map(|goal| goal.targets(phase)));
+        let detours = |goal: &Goal| config.detours && !goal.obstacles.is_empty();
+        let dense = |goal: &Goal| match detours(goal) {
+            true => goal.around_obstacles(),
+            false => goal.dense(),
+        };
+        // Without the detours, the model would take the straight line again.
+        let points = |goal: &Goal| match detours(goal) {
+            true => goal.around_obstacles(),
+            false => goal.points(),
+        };
         Ok(Self {
             config,
             scale: config.scale,
             of_motion: model.of_motion,
             of_points: goals.iter().any(|goal| goal.trajectory.is_none()),
-            dense: known(Phase::Dense),
-            points: known(Phase::Points),
+            dense: model.known(goals.iter().map(dense)),
+            points: model.known(goals.iter().map(points)),
             objective: GroundObjective {
                 space: model.space,
                 loss,

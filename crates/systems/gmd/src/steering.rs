@@ -40,6 +40,9 @@ pub struct SteeringConfig {
     pub attempts: usize,
     /// Impute known positions.
     pub imputation: bool,
+    /// Among obstacles, impute the shortest lines between keyframes that go around them, until
+    /// `schedule.points_until`. The paper imputes the keyframes alone.
+    pub detours: bool,
     /// Guide the second stage along the first stage's path, in addition to imputation. The
     /// published demonstration guides the second stage; the published evaluation does not.
     pub second_stage_guidance: bool,
@@ -62,6 +65,7 @@ impl Default for SteeringConfig {
             max_shift: 1.0,
             attempts: 4,
             imputation: true,
+            detours: true,
             second_stage_guidance: true,
             first_stage_steps: None,
             first_stage_guidance_scale: None,

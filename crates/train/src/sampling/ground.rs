@@ -28,6 +28,8 @@ impl GroundRecord {
     pub const FAR: f64 = 3.0;
     /// Largest distance of the first frame from the origin within the bounds, metres.
     pub const START: f64 = 0.5;
+    /// Depth in an obstacle that counts as much as twice another bound, metres.
+    const DEEP: f64 = 0.1;
 
     /// Measures `ground` positions `[x, z]` in metres, `fps` a second.
     pub fn of(
@@ -55,10 +57,8 @@ impl GroundRecord {
     pub fn excess(&self) -> f64 {
         let speed = (self.speed() / Self::MOST - 1.0).max(0.0);
         let start = (self.start / Self::START - 1.0).max(0.0);
-        let inside = self
-            .clearance
-            .map_or(0, |clearance| clearance.frames_inside);
-        let excess = speed + start + inside as f64;
+        let depth = self.clearance.map_or(0.0, |clearance| -clearance.metres);
+        let excess = speed + start + (depth / Self::DEEP).max(0.0);
         let is_finite = self.speed().is_finite() && self.start.is_finite();
         if is_finite { excess } else { f64::INFINITY }
     }
@@ -132,6 +132,16 @@ mod tests {
             assert!(text.contains(part), "{text}");
         }
         assert!(hop.excess() > fast.excess());
+        // To graze an obstacle in many frames is better than to dash.
+        let graze: Vec<[f64; 2]> = (0..60)
+            .map(|i| [0.29, 1.41 + 0.02 * f64::from(i)])
+            .collect();
+        let graze = GroundRecord {
+            start: 0.0,
+            ..record(&graze)
+        };
+        let dash = record(&[[0.0, 0.0], [0.0, 0.1], [0.6, 0.1]]);
+        assert!(graze.excess() > 0.0 && graze.excess() < dash.excess());
         let broken = record(&[[0.0, 0.0], [f64::NAN, 0.0]]);
         assert_eq!(broken.excess(), f64::INFINITY);
     }
