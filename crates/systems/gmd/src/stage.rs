@@ -187,6 +187,45 @@ mod tests {
     use super::*;
 
     #[test]
+    fn detours_are_imputed_among_obstacles() {
+        let device = Device::flex();
+        let space = FeatureSpace::new(&[0.0; 4], &[1.0; 4], None, &device);
+        let model = StageModel {
+            space: &space,
+            channels: 4,
+            of_motion: false,
+            frames: 8,
+            device: &device,
+        };
+        let mut goal = Goal::new(8);
+        goal.keyframes = vec![Keyframe {
+            frame: 5,
+            x: 1.0,
+            z: 2.0,
+        }];
+        let known = |goal: &Goal, detours| {
+            let config = SteeringConfig {
+                detours,
+                ..SteeringConfig::default()
+            };
+            let goals = std::slice::from_ref(goal);
+            let steering = StageSteering::of_goals(&config, goals, model).unwrap();
+            [100, 20].map(|t| {
+                let imputation = steering.at(t).imputation.expect("imputed");
+                imputation.mask.sum().into_scalar::<f32>() / 2.0
+            })
+        };
+        assert_eq!(known(&goal, true), [6.0, 1.0]);
+        goal.obstacles = vec![kinegrad_motion::goal::Obstacle::Disc {
+            x: 0.5,
+            z: 1.0,
+            radius: 0.2,
+        }];
+        assert_eq!(known(&goal, true), [6.0, 6.0]);
+        assert_eq!(known(&goal, false), [1.0, 1.0]);
+    }
+
+    #[test]
     fn single_frames_are_not_put_in_their_places_to_the_end() {
         let device = Device::flex();
         let space = FeatureSpace::new(&[0.0; 4], &[1.0; 4], None, &device);
