@@ -290,7 +290,7 @@ fn phrases_are_grouped_by_song_and_those_without_beats_left_out() {
     let line = "eval runs/two --audio-ablation --steps 2 --set evaluation.seeds=1 \
                 --set evaluation.beats_per_bar=5";
     let finished = sandbox.run(line).succeeded();
-    let remark = "1 of 5 held-out phrases have no beats and are left out";
+    let remark = "1 of 5 held-out phrases left out, without beats";
     assert!(finished.stdout.contains(remark), "{}", finished.stdout);
     assert!(
         !finished.stdout.contains("four beats"),

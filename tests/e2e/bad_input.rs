@@ -342,7 +342,7 @@ fn bad_phrases_are_named_by_id_and_channel_or_skipped_and_counted() {
     let skip = format!("train c.toml {train} --set data.on_bad_phrase=skip");
     let finished = sandbox.run(&skip).succeeded();
     assert!(
-        finished.stderr.contains("1 bad phrases skipped"),
+        finished.stderr.contains("1 bad item skipped"),
         "{}",
         finished.stderr
     );

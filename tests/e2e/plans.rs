@@ -28,7 +28,7 @@ fn an_interrupted_preparation_goes_on_and_a_changed_take_is_made_again() {
     );
     let again = sandbox.run("data prepare plan.toml --out set").succeeded();
     assert!(
-        again.stdout.contains("2 of 3 takes were unchanged"),
+        again.stdout.contains("2 of 3 takes unchanged"),
         "{}",
         again.stdout
     );
@@ -42,7 +42,7 @@ fn an_interrupted_preparation_goes_on_and_a_changed_take_is_made_again() {
     fs::remove_dir_all(sandbox.path("set/audio_features/one_00015")).expect("a phrase");
     let again = sandbox.run("data prepare plan.toml --out set").succeeded();
     assert!(
-        again.stdout.contains("2 of 3 takes were unchanged"),
+        again.stdout.contains("2 of 3 takes unchanged"),
         "{}",
         again.stdout
     );
@@ -50,7 +50,7 @@ fn an_interrupted_preparation_goes_on_and_a_changed_take_is_made_again() {
     sandbox.write("captures/two.bvh", bvh(200));
     let again = sandbox.run("data prepare plan.toml --out set").succeeded();
     assert!(
-        again.stdout.contains("2 of 3 takes were unchanged"),
+        again.stdout.contains("2 of 3 takes unchanged"),
         "{}",
         again.stdout
     );
@@ -221,11 +221,11 @@ fn a_damaged_phrase_is_listed_and_made_again() {
     // From another folder, by another spelling of the plan's path.
     let plan = sandbox.path("plan.toml").display().to_string();
     let again = sandbox.run(&format!("data prepare {plan}")).succeeded();
-    let expected = "2 of 3 takes were unchanged";
+    let expected = "2 of 3 takes unchanged";
     assert!(again.stdout.contains(expected), "{}", again.stdout);
     assert!(fs::read(&damaged).expect("a phrase") == whole);
     let all = sandbox.run("data prepare plan.toml --again").succeeded();
-    let expected = "0 of 3 takes were unchanged";
+    let expected = "0 of 3 takes unchanged";
     assert!(all.stdout.contains(expected), "{}", all.stdout);
 }
 
@@ -252,7 +252,7 @@ fn phrases_of_takes_that_are_gone_are_told_and_pruned() {
     sandbox.write("plan.toml", one);
     let said = sandbox.run("data prepare plan.toml").succeeded().stdout;
     assert!(
-        said.contains("phrases of other takes are in the output folder"),
+        said.contains("phrases of other takes; the dataset does not"),
         "{said}"
     );
     let ids = || sandbox.list("set/motion");

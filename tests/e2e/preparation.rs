@@ -53,7 +53,7 @@ fn captures_and_songs_become_a_dataset_that_trains() {
         "two",
         "alone",
         "the song has ended",
-        "0 of 3 takes were unchanged",
+        "0 of 3 takes unchanged",
     ] {
         assert!(
             prepared.stdout.contains(text),
@@ -64,7 +64,7 @@ fn captures_and_songs_become_a_dataset_that_trains() {
     let before = contents(&sandbox.path("set"));
     let again = sandbox.run("data prepare plan.toml").succeeded();
     assert!(
-        again.stdout.contains("3 of 3 takes were unchanged"),
+        again.stdout.contains("3 of 3 takes unchanged"),
         "{}",
         again.stdout
     );

@@ -36,7 +36,7 @@ fn previews_change_no_weight() {
         let trained = sandbox
             .run(&format!("{train} {every} --name watched"))
             .succeeded();
-        assert!(trained.stderr.contains("previews"), "{}", trained.stderr);
+        assert!(trained.stderr.contains("preview"), "{}", trained.stderr);
         let weights = |run: &str, file: &str| {
             let folder = sandbox.path(format!("runs/{run}/checkpoints/step-00000010"));
             fs::read(folder.join(file)).expect("a file")

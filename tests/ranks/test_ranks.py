@@ -195,7 +195,7 @@ class Ranks(unittest.TestCase):
         self.assertFalse((self.folder.path / "runs/bad").exists())
         skips = f"{line} --set data.on_bad_phrase=skip"
         said = self.folder.run(4, f"{skips} --name skips4")
-        self.assertEqual(said.count("2 bad phrases skipped"), 1, said)
+        self.assertEqual(said.count("2 bad items skipped"), 1, said)
         self.folder.run(1, f"{skips} --name skips1")
         self.assertEqual(self.folder.hashes("skips4"), self.folder.hashes("skips1"))
 

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use kinegrad_motion::{ChannelMoments, Measured, Profile, Representation, Statistics};
 use kinegrad_ranks::Alone;
+use kinegrad_settings::counted;
 use serde::{Deserialize, Serialize};
 
 use crate::humanml::Clip;
@@ -187,9 +188,9 @@ fn inspect_items<T: Listable>(
         warnings.push(format!("no {kind} is left to train on"));
     }
     if let Some((id, reason)) = left_out.first() {
-        let count = left_out.len();
+        let items = counted(left_out.len(), kind);
         warnings.push(format!(
-            "{count} {kind}(s) are left out; the first: {kind} `{id}`: {reason}"
+            "{items} left out; the first: {kind} `{id}`: {reason}"
         ));
     }
 

@@ -5,6 +5,7 @@ use std::collections::HashMap;
 
 use kinegrad_motion::Phrases;
 use kinegrad_settings::InvalidSetting;
+use kinegrad_settings::counted;
 
 use crate::audio_layout::AudioLayout;
 use crate::files::Files;
@@ -127,10 +128,10 @@ fn phrase_files(config: &DataConfig) -> Result<Scan<PhraseItem>, Error> {
         (audio, "audio_features", "motion"),
     ] {
         if let Some(first) = alone.first() {
-            let count = alone.len();
+            let folders = counted(alone.len(), "folder");
             listing.warnings.push(format!(
-                "{count} folder(s) under {place}/ have no counterpart under {lacking}/ and \
-                 are left out, the first: {first}"
+                "{folders} under {place}/ without a counterpart under {lacking}/ left out, the first: \
+                 {first}"
             ));
         }
     }

@@ -8,10 +8,12 @@
 //! assert_eq!(refused.to_string(), "`data.batch_size` is 0, allowed: 1 to 64");
 //! ```
 
+mod counts;
 mod document;
 mod keys;
 mod words;
 
+pub use counts::{counted, plural};
 pub use document::{
     Document, DocumentError, Place, from_table, must_be_finite, must_be_tables, nearest, not_among,
     read_toml,

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use kinegrad_data::Digest;
 use kinegrad_motion::humanml::{Joints, Skeleton};
+use kinegrad_settings::counted;
 
 use super::body::Body;
 use super::captions::{Labels, mirrored};
@@ -116,7 +117,7 @@ impl Take {
         if let Some(rest) = rest {
             let (frames, least) = (rest.len(), clips.min_frames);
             let seconds = frames as f64 / fps;
-            let left = format!("{frames} frames ({seconds:.2} s) left over");
+            let left = format!("{} ({seconds:.2} s) left over", counted(frames, "frame"));
             report.skipped.push(Rejection {
                 first_frame: rest.start,
                 frames,
@@ -205,7 +206,8 @@ impl Take {
         if start.saturating_add(1) >= end {
             let (frames, from) = (end.saturating_sub(start), self.capture.motion_start_seconds);
             return Err(format!(
-                "{frames} frames of it from second {from}: at least 2 are needed"
+                "{} of it from second {from}: at least 2 are needed",
+                counted(frames, "frame")
             ));
         }
         let count = joints.joints();

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use kinegrad_data::MAX_FRAMES;
 use kinegrad_motion::FPS;
+use kinegrad_settings::counted;
 
 use super::grid::Timeline;
 use super::resolve::Take;
@@ -225,8 +226,11 @@ fn filled(source: &dyn RootSource) -> bool {
 fn gap_notes(file: &str, source: &dyn RootSource) -> Vec<String> {
     let note = |gap: &MarkerGaps| {
         format!(
-            "{file}: marker {} missing in {} frames, {} of them filled, longest gap {}",
-            gap.marker, gap.missing_frames, gap.filled_frames, gap.longest_gap_frames
+            "{file}: marker {} missing in {}, {} of them filled, longest gap {}",
+            gap.marker,
+            counted(gap.missing_frames, "frame"),
+            gap.filled_frames,
+            gap.longest_gap_frames
         )
     };
     source.gaps().iter().map(note).collect()

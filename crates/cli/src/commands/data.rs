@@ -10,6 +10,7 @@ use kinegrad_data::{
     Store, StoreConfig, synthetic,
 };
 use kinegrad_report::{Panel, facts, grouped, table};
+use kinegrad_settings::{counted, plural};
 use kinegrad_train::Error;
 
 use crate::args::{InspectArguments, SynthArguments};
@@ -31,13 +32,14 @@ pub fn synth(arguments: SynthArguments) -> Result<ExitCode, Error> {
     } = arguments;
     let what = if walks {
         write_walks(&out, phrases, frames, seed)?;
-        "walks"
+        "walk"
     } else {
         let layout = AudioLayout { beats };
         synthetic::write_dataset(&out, layout, phrases, frames, seed)?;
-        "phrases"
+        "phrase"
     };
-    say!("{phrases} {what} of {frames} frames in {}", out.display());
+    let (items, frames) = (counted(phrases, what), counted(frames, "frame"));
+    say!("{items} of {frames} in {}", out.display());
     Ok(ExitCode::SUCCESS)
 }
 
@@ -128,9 +130,9 @@ fn print_selection(chosen: &Selection, all: usize) {
     const PHRASES: [&str; 6] = ["id", "frames", "tempo", "beats", "split", "flags"];
     const CLIPS: [&str; 6] = ["id", "frames", "map", "mirrored", "split", "caption"];
     let clips = chosen.texts("caption").is_some();
-    let (names, items) = match clips {
-        true => (CLIPS, "clips"),
-        false => (PHRASES, "phrases"),
+    let (names, item) = match clips {
+        true => (CLIPS, "clip"),
+        false => (PHRASES, "phrase"),
     };
     let shown = |number: Option<f64>| number.map_or(String::new(), |n| format!("{n:.1}"));
     let columns = names.map(|name| match (name, chosen.numbers(name)) {
@@ -151,20 +153,21 @@ fn print_selection(chosen: &Selection, all: usize) {
         true => sum("seconds"),
         false => sum("frames") / kinegrad_motion::FPS,
     };
+    let items = plural(all, item);
     let (count, all, minutes) = (grouped(chosen.len()), grouped(all), seconds / 60.0);
     say!("{count} of {all} {items}, {minutes:.2} minutes");
 }
 
 fn plot(chosen: &Selection, out: &Path) -> Result<(), Error> {
-    let (items, place) = match chosen.texts("caption") {
-        Some(_) => ("clips", "place in the take"),
-        None => ("phrases", "place in the song"),
+    let (item, place) = match chosen.texts("caption") {
+        Some(_) => ("clip", "place in the take"),
+        None => ("phrase", "place in the song"),
     };
     // Clips have neither tempo nor beats.
     let histogram = |title: &str, label, column: &str| {
         let values = chosen.numbers(column)?;
         let values: Vec<f64> = values.into_iter().flatten().collect();
-        let title = format!("{title} of {} {items}", values.len());
+        let title = format!("{title} of {}", counted(values.len(), item));
         Some(Panel::histogram(title, label, &values, 24))
     };
     let panels = [

@@ -1,6 +1,7 @@
 //! The estimate that `kinegrad train --dry-run` prints.
 
 use kinegrad_report::{facts, grouped};
+use kinegrad_settings::{counted, plural};
 use kinegrad_train::memory::size;
 use kinegrad_train::run::Plan as Estimate;
 
@@ -8,7 +9,7 @@ use crate::output;
 use crate::progress::duration;
 
 /// The text after the time for all steps.
-fn counted(estimate: &Estimate) -> String {
+fn validations(estimate: &Estimate) -> String {
     match (estimate.validations, estimate.validation_seconds) {
         (0, _) => ", without checkpoints".to_string(),
         (_, None) => ", without validations and checkpoints".to_string(),
@@ -35,24 +36,33 @@ pub fn print(estimate: &Estimate, json: bool) {
     if let Some(free) = estimate.free_memory_bytes {
         memory.push_str(&format!("; {} are free", size(free)));
     }
-    let left = grouped(estimate.max_steps.saturating_sub(estimate.step) as usize);
+    let left = estimate.max_steps.saturating_sub(estimate.step) as usize;
     let needed = duration(estimate.training_seconds);
     let (step, time) = match estimate.step_seconds {
         Some(seconds) => (
             format!("{seconds:.3} s (mean of {})", estimate.measured_steps),
-            format!("about {needed} for {left} steps{}", counted(estimate)),
+            format!(
+                "about {needed} for {} {}{}",
+                grouped(left),
+                plural(left, "step"),
+                validations(estimate)
+            ),
         ),
         None => ("not measured".into(), "nothing left to train".into()),
     };
     let [all, each] = [estimate.disk_bytes, estimate.checkpoint_bytes].map(size);
     let mut disk = format!(
-        "about {all}: {} checkpoints of {each}",
-        estimate.checkpoints
+        "about {all}: {} of {each}",
+        counted(estimate.checkpoints as usize, "checkpoint")
     );
     if estimate.samples_bytes > 0 {
         disk.push_str(&format!(", samples of {}", size(estimate.samples_bytes)));
     }
-    let batch = format!("{} of {} frames", estimate.batch_size, estimate.frames);
+    let batch = format!(
+        "{} of {}",
+        estimate.batch_size,
+        counted(estimate.frames, "frame")
+    );
     let rows = [
         ("run", estimate.folder.display().to_string()),
         ("recipe", estimate.recipe.clone()),

@@ -3,6 +3,7 @@
 use std::process::ExitCode;
 
 use kinegrad_report::grouped;
+use kinegrad_settings::counted;
 use kinegrad_train::import::ImportRequest;
 use kinegrad_train::{Error, Systems};
 
@@ -37,10 +38,10 @@ pub fn run(systems: Systems<'_>, arguments: ImportArguments) -> Result<ExitCode,
         None => arguments.weights.display().to_string(),
     };
     say!(
-        "imported {part}: {} parameters to {} ({} tensors of other parts ignored)",
+        "imported {part}: {} parameters to {} ({} of other parts ignored)",
         grouped(imported.parameters),
         imported.path.display(),
-        imported.skipped
+        counted(imported.skipped, "tensor")
     );
     Ok(ExitCode::SUCCESS)
 }

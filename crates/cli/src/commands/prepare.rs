@@ -10,6 +10,7 @@ use kinegrad_capture::phrases::{self, PhrasesReport, TakeReport};
 use kinegrad_capture::plan::{Grid, Plan};
 use kinegrad_capture::prepare::{PrepareObserver, PrepareOptions};
 use kinegrad_report::{facts, grouped, table};
+use kinegrad_settings::{counted, plural};
 use kinegrad_train::Error;
 use serde::Serialize;
 
@@ -119,9 +120,9 @@ fn print(report: &PhrasesReport) {
         }
         for rejection in &take.rejected {
             say!(
-                "{}: {} frames from {} left out: {}",
+                "{}: {} from {} left out: {}",
                 take.name,
-                rejection.frames,
+                counted(rejection.frames, "frame"),
                 rejection.first_frame,
                 rejection.reason
             );
@@ -139,24 +140,26 @@ fn print(report: &PhrasesReport) {
     for entry in &report.idle_entries {
         say!("split.validation: no phrase matches `{entry}`");
     }
-    print_stale(report.stale, "phrases");
+    print_stale(report.stale, "phrase");
     say!(
-        "\n{} phrases ({:.2} minutes) in {}; {} of {} takes were unchanged",
+        "\n{} {} ({:.2} minutes) in {}; {} of {} unchanged",
         grouped(report.phrases),
+        plural(report.phrases, "phrase"),
         report.hours * 60.0,
         report.output,
         report.kept,
-        report.takes.len()
+        counted(report.takes.len(), "take")
     );
 }
 
 /// Notes phrases or clips that the dataset does not include.
-fn print_stale(count: usize, items: &str) {
+fn print_stale(count: usize, item: &str) {
     if count > 0 {
         say!(
-            "{} {items} of other takes are in the output folder; the dataset does not include them, \
-             and `--prune` removes them",
-            grouped(count)
+            "the output folder has {} {} of other takes; the dataset does not include them, and \
+             `--prune` removes them",
+            grouped(count),
+            plural(count, item)
         );
     }
 }
@@ -201,7 +204,7 @@ fn print_clips(report: &ClipsReport) {
     for entry in &report.idle_entries {
         say!("split: no take matches `{entry}`");
     }
-    print_stale(report.stale, "clips");
+    print_stale(report.stale, "clip");
     if !report.manifest {
         say!("no manifest.parquet: this build writes none (`--features full` does)");
     }

@@ -7,6 +7,7 @@ use kinegrad_data::FileError;
 use kinegrad_data::file::read_text;
 use kinegrad_data::humanml::{read_captions, write_embeddings};
 use kinegrad_report::grouped;
+use kinegrad_settings::plural;
 use kinegrad_train::text_encoder::TextEncoder;
 use kinegrad_train::{Error, device};
 
@@ -49,11 +50,14 @@ pub fn embed(arguments: EmbedArguments) -> Result<ExitCode, Error> {
         .map(|(name, texts)| (name, texts.collect()))
         .collect();
     interrupt::not_during(|| write_embeddings(out, tensors.collect(), &captions))?;
+    let texts = texts.count();
     say!(
-        "{}: {} embeddings in {} tensor(s)",
+        "{}: {} {} in {} {}",
         out.display(),
-        grouped(texts.count()),
-        grouped(named.len())
+        grouped(texts),
+        plural(texts, "embedding"),
+        grouped(named.len()),
+        plural(named.len(), "tensor")
     );
     Ok(ExitCode::SUCCESS)
 }

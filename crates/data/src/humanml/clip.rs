@@ -6,6 +6,7 @@ use std::path::Path;
 use kinegrad_motion::JointFeatures;
 use kinegrad_motion::humanml::{Features, Root, Skeleton, TEXT_CHANNELS};
 use kinegrad_motion::metrics::text_motion::Token;
+use kinegrad_settings::counted;
 
 use crate::files::Files;
 use crate::item_store::{ItemSource, ReadItem, ReadRequest};
@@ -279,7 +280,8 @@ impl ItemSource<Clip> for ClipFiles {
             let lost = clip.drop_short_captions(fps, self.min_frames);
             note = (lost > 0).then(|| {
                 let min_frames = self.min_frames;
-                format!("{lost} caption(s) of ranges of fewer than {min_frames} frames")
+                let captions = counted(lost, "caption");
+                format!("{captions} of ranges of fewer than {min_frames} frames")
             });
             if self.captions_required && clip.captions.is_empty() {
                 left_out = note.take();

@@ -1,5 +1,6 @@
 //! The clip lists of a dataset, `train.txt` and `val.txt`, with one id per line.
 
+use kinegrad_settings::counted;
 use std::collections::{BTreeMap, HashMap};
 
 use crate::files::Files;
@@ -67,9 +68,9 @@ pub(super) fn read_lists(
             }
         }
         if let Some(first) = twice.first() {
-            let count = twice.len();
+            let clips = counted(twice.len(), "clip");
             warnings.push(format!(
-                "{name} lists {count} clip(s) twice, which count once; the first: {first}"
+                "{name} lists {clips} twice, counted once; the first: {first}"
             ));
         }
     }

@@ -227,7 +227,7 @@ fn short_ranges_are_dropped_and_clips_of_other_lengths_left_out() {
         expected.map(|(id, reason)| (id, reason.to_owned()))
     );
     assert!(read.find(&id(4)).unwrap().unwrap().captions.is_empty());
-    assert!(read.warnings[0].contains("clip `walk_00004`: 1 caption(s)"));
+    assert!(read.warnings[0].contains("clip `walk_00004`: 1 caption of ranges"));
     config.humanml3d.captions = Some(CaptionRule::Required);
     assert_eq!(Dataset::<Clip>::open(&config).unwrap().left_out[2].0, id(4));
     config.humanml3d.max_frames = 60;
@@ -246,7 +246,7 @@ fn lists_decide_and_their_problems_are_named() {
     assert_eq!(read.train.ids().collect::<Vec<_>>(), [id(0), id(1)]);
     assert_eq!(read.validation.ids().collect::<Vec<_>>(), [id(4)]);
     assert!(
-        read.warnings[0].contains("1 clip(s) twice"),
+        read.warnings[0].contains("1 clip twice"),
         "{:?}",
         read.warnings
     );

@@ -1,5 +1,6 @@
 //! Metrics of motions with goals.
 
+use kinegrad_settings::counted;
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
@@ -154,7 +155,8 @@ impl GoalReport {
 impl fmt::Display for GoalReport {
     /// One line for each available metric.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} motions, {} keyframes", self.samples, self.keyframes)?;
+        let keyframes = counted(self.keyframes, "keyframe");
+        write!(f, "{}, {keyframes}", counted(self.samples, "motion"))?;
         for (name, value, unit) in self.rows() {
             if let Some(value) = value {
                 write!(f, "\n{name:<24} {value:>9.4}{unit}")?;

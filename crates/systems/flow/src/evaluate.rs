@@ -7,6 +7,7 @@ use std::sync::Arc;
 use kinegrad_data::humanml::Clip;
 use kinegrad_motion::humanml::Joints;
 use kinegrad_random::{Key, Purpose};
+use kinegrad_settings::counted;
 use kinegrad_train::clips::captions::{ClipText, must_know_texts};
 use kinegrad_train::evaluation::{
     Evaluation, EvaluationRequest, Group, OnStep, Results, clips_with_held_out, for_each_item,
@@ -44,9 +45,9 @@ pub(super) fn prepare<'a>(
     let mut remarks = Vec::new();
     if held_out.len() < chosen.len() {
         remarks.push(format!(
-            "note: {} of {} clips have no more than {begin} frames and are left out",
+            "note: {} of {} left out, with no more than {begin} frames",
             chosen.len() - held_out.len(),
-            chosen.len()
+            counted(chosen.len(), "clip")
         ));
     }
     let warning = guidance_without_dropout(trained, own);

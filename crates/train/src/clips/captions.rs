@@ -14,6 +14,7 @@ use kinegrad_data::humanml::{
 };
 use kinegrad_data::{DataConfig, Dataset};
 use kinegrad_motion::humanml::TEXT_CHANNELS;
+use kinegrad_settings::counted;
 use kinegrad_settings::{InvalidSetting, Refused, in_range, nearest, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -40,7 +41,7 @@ impl CaptionsConfig {
         require(
             count == 0 || data.humanml3d.text == CaptionText::Labels,
             key,
-            format!("{count} captions"),
+            counted(count, "caption"),
             "nothing with `data.humanml3d.text = \"embeddings\"`",
         )
         .hint(

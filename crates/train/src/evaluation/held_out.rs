@@ -2,6 +2,7 @@
 
 use kinegrad_data::humanml::Clip;
 use kinegrad_data::{DataConfig, DataKind, Dataset, Item, PhraseItem, no_progress};
+use kinegrad_settings::counted;
 
 use super::EvaluationRequest;
 use crate::TrainedModel;
@@ -71,6 +72,7 @@ pub fn note_if_fewer(
     trained: &TrainedModel,
 ) -> Option<String> {
     let path = trained.path().display();
+    let clips = counted(found, "clip");
     (found < wanted)
-        .then(|| format!("note: {found} clips are held out for {path}, fewer than {wanted} {name}"))
+        .then(|| format!("note: {clips} held out for {path}, fewer than {wanted} {name}"))
 }

@@ -2,6 +2,7 @@
 
 use kinegrad_motion::goal::Obstacle;
 use kinegrad_motion::metrics::{Clearance, PathStep, clearance, fastest_step};
+use kinegrad_settings::counted;
 use serde::{Deserialize, Serialize};
 
 /// The root's path of a sample, measured.
@@ -84,8 +85,10 @@ impl GroundRecord {
             && clearance.frames_inside > 0
         {
             faults.push(format!(
-                "the root is inside an obstacle, or crosses it, in {} frames, deepest in frame {} ({:.2} m)",
-                clearance.frames_inside, clearance.frame, -clearance.metres,
+                "the root is inside an obstacle, or crosses it, in {}, deepest in frame {} ({:.2} m)",
+                counted(clearance.frames_inside, "frame"),
+                clearance.frame,
+                -clearance.metres,
             ));
         }
         if self.start > Self::START {

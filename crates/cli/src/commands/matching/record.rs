@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use kinegrad_matching::{
     Adaptation, Made, Measures, Novelty, Preset, Quality, Run, Seam, Settings, Sliding,
 };
+use kinegrad_settings::counted;
 use serde::Serialize;
 
 use crate::args::MatchArguments;
@@ -105,7 +106,11 @@ impl Record {
 
     /// Prints the measures.
     pub fn summarize(&self) {
-        tell!("{} frames at {:.2} a second", self.frames, self.fps);
+        tell!(
+            "{} at {:.2} a second",
+            counted(self.frames, "frame"),
+            self.fps
+        );
         if let Some(measures) = &self.measures {
             let global = measures.global_diversity;
             let global = global.map_or_else(String::new, |global| format!(", {global:.3} global"));

@@ -1,5 +1,6 @@
 //! The metrics over embeddings of motions and captions.
 
+use kinegrad_settings::counted;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
@@ -190,7 +191,8 @@ impl fmt::Display for TextMotionReport {
     /// One line for each available metric.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { samples, pools, .. } = self;
-        write!(f, "{samples} motions, {pools} pools of {POOL}")?;
+        let (samples, pools) = (counted(*samples, "motion"), counted(*pools, "pool"));
+        write!(f, "{samples}, {pools} of {POOL}")?;
         for (name, value) in self.rows() {
             if let Some(value) = value {
                 write!(f, "\n{name:<24} {value:>9.4}")?;

@@ -15,6 +15,7 @@ use std::sync::Arc;
 
 use kinegrad_data::{AudioFeatures, DataConfig, PhraseItem, PhraseSet, Songs};
 use kinegrad_motion::Phrase;
+use kinegrad_settings::counted;
 use kinegrad_train::config::SamplingConfig;
 use kinegrad_train::evaluation::{EvaluationRequest, Measure, OnStep, for_each_item};
 use kinegrad_train::sampling::item_seed;
@@ -102,7 +103,8 @@ fn remarks(run: &str, report: &AblationReport, held_out: &[BeatPhrase], all: usi
     if held_out.len() < all {
         let missing = all - held_out.len();
         remarks.push(format!(
-            "{missing} of {all} held-out phrases have no beats and are left out"
+            "{missing} of {} left out, without beats",
+            counted(all, "held-out phrase")
         ));
     }
     if report.songs == 1 {
@@ -112,8 +114,8 @@ fn remarks(run: &str, report: &AblationReport, held_out: &[BeatPhrase], all: usi
     let guessed = held_out.iter().filter(|one| one.guessed).count();
     if guessed > 0 {
         remarks.push(format!(
-            "{guessed} phrases have no known number of beats in a bar: four are assumed \
-             (`evaluation.beats_per_bar`)"
+            "{} without a known number of beats in a bar: four are assumed (`evaluation.beats_per_bar`)",
+            counted(guessed, "phrase")
         ));
     }
     let mut conditions = report.conditions.iter();
