@@ -49,7 +49,7 @@ mod track;
 mod up_axis;
 
 pub use assemble::{Assembly, Moment, Segment, assemble};
-pub use bvh::{Axis, Bvh, Channel, Deviation, Joint};
+pub use bvh::{Axis, Bvh, Channel, Deviation, Joint, bare_name};
 pub use c3d::{C3d, Processor};
 pub use error::Error;
 pub use join::{Joining, join};

@@ -66,6 +66,11 @@ pub struct Joint {
     first_channel: usize,
 }
 
+/// The name of a joint without its prefix up to a colon, such as `mixamorig:` or `mixamorig7:`.
+pub fn bare_name(name: &str) -> &str {
+    name.rsplit(':').next().unwrap_or(name)
+}
+
 /// A BVH file: the hierarchy and all frames.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bvh {
@@ -73,6 +78,8 @@ pub struct Bvh {
     frame_time: f64,
     channels: usize,
     values: Vec<f64>,
+    /// Number of frames beyond those that the read file declares.
+    frames_beyond: usize,
 }
 
 impl Bvh {
@@ -83,7 +90,7 @@ impl Bvh {
 
     /// Index of the joint of that name, with or without its prefix up to a colon.
     pub fn joint(&self, name: &str) -> Option<usize> {
-        let bare = |joint: &Joint| joint.name.rsplit(':').next() == Some(name);
+        let bare = |joint: &Joint| bare_name(&joint.name) == name;
         let exact = self.joints.iter().position(|joint| joint.name == name);
         exact.or_else(|| self.joints.iter().position(bare))
     }
@@ -96,6 +103,11 @@ impl Bvh {
     /// Number of frames, at least 1.
     pub fn frames(&self) -> usize {
         self.values.len() / self.channels
+    }
+
+    /// Number of frames beyond those that the file declares, which are read too: 0 or 1.
+    pub fn frames_beyond(&self) -> usize {
+        self.frames_beyond
     }
 
     /// The numbers of frame `t`, `[channels]`, in file units and degrees.

@@ -1,5 +1,9 @@
 //! Reading BVH text.
 
+use std::borrow::Cow;
+
+use kinegrad_settings::counted;
+
 use super::{Bvh, CHANNELS, Channel, Joint};
 use crate::Error;
 use crate::error::quote;
@@ -10,13 +14,14 @@ const MOST_CHANNELS: usize = 6;
 impl Bvh {
     /// Reads a BVH file from its bytes; `file` is its name for messages.
     ///
-    /// Within the hierarchy any whitespace separates words; each frame is one line. Bytes that are not
-    /// UTF-8 become replacement characters.
+    /// Within the hierarchy any whitespace separates words; each frame is one line, and one frame more
+    /// than declared is read too. Lines end in line feeds, carriage returns or both. Text is UTF-8, or
+    /// UTF-16 with a byte order mark; other bytes become replacement characters.
     ///
     /// # Errors
     /// [`Error::Format`].
     pub fn parse(bytes: &[u8], file: &str) -> Result<Self, Error> {
-        let text = String::from_utf8_lossy(bytes);
+        let text = decoded(bytes);
         let text = text.trim_start_matches('\u{feff}');
         let mut reader = Reader {
             file,
@@ -31,14 +36,47 @@ impl Bvh {
             let found = "a hierarchy without channels";
             return Err(reader.error(found, "at least one channel", hint));
         }
-        let (frame_time, values) = reader.motion(channels)?;
+        let Motion {
+            declared,
+            frame_time,
+            values,
+        } = reader.motion(&joints, channels)?;
         Ok(Self {
+            frames_beyond: values.len() / channels - declared,
             joints,
             frame_time,
             channels,
             values,
         })
     }
+}
+
+/// The text of a file, with line feeds at the ends of lines.
+fn decoded(bytes: &[u8]) -> Cow<'_, str> {
+    let words = |word: fn([u8; 2]) -> u16| {
+        let (pairs, _) = bytes.as_chunks::<2>();
+        String::from_utf16_lossy(&pairs.iter().map(|pair| word(*pair)).collect::<Vec<_>>())
+    };
+    let text = match bytes {
+        [0xff, 0xfe, ..] => Cow::Owned(words(u16::from_le_bytes)),
+        [0xfe, 0xff, ..] => Cow::Owned(words(u16::from_be_bytes)),
+        _ => String::from_utf8_lossy(bytes),
+    };
+    let is_alone = |at: usize| text.as_bytes().get(at + 1) != Some(&b'\n');
+    match text.match_indices('\r').any(|(at, _)| is_alone(at)) {
+        true => Cow::Owned(text.replace("\r\n", "\n").replace('\r', "\n")),
+        false => text,
+    }
+}
+
+/// The frames of a file.
+struct Motion {
+    /// Number of frames that the file declares; there may be one more.
+    declared: usize,
+    /// Seconds between frames.
+    frame_time: f64,
+    /// `[frames, channels]`.
+    values: Vec<f64>,
 }
 
 /// A place in the text.
@@ -104,9 +142,24 @@ impl<'a> Reader<'a> {
     }
 
     fn finite(&self, word: &str) -> Result<f64, Error> {
+        self.number(word, String::new)
+    }
+
+    /// The number `word`; `owner` is the frame and joint for messages.
+    fn number(&self, word: &str, owner: impl Fn() -> String) -> Result<f64, Error> {
         let value = word.parse::<f64>().ok().filter(|value| value.is_finite());
-        let hint = "decimals take a point, as in 1.5";
-        value.ok_or_else(|| self.error(shown(word), "a finite number", hint))
+        value.ok_or_else(|| {
+            let lower = word.to_ascii_lowercase();
+            let is_undefined = ["nan", "inf", "#ind"].iter().any(|name| lower.contains(name));
+            let hint = match is_undefined {
+                true => {
+                    "the exporter wrote an undefined number: export the motion again, or replace the \
+                     number by that of the frame before"
+                }
+                false => "decimals take a point, as in 1.5",
+            };
+            self.error(shown(word) + &owner(), "a finite number", hint)
+        })
     }
 
     fn vector(&mut self) -> Result<[f64; 3], Error> {
@@ -198,8 +251,8 @@ impl<'a> Reader<'a> {
         Ok(channels)
     }
 
-    /// The frames: seconds between two of them and all numbers, `[frames, channels]`.
-    fn motion(&mut self, channels: usize) -> Result<(f64, Vec<f64>), Error> {
+    /// The frames of a hierarchy with so many channels.
+    fn motion(&mut self, joints: &[Joint], channels: usize) -> Result<Motion, Error> {
         let word = self.word();
         if word.eq_ignore_ascii_case("ROOT") {
             let hint = "files with several roots are not supported: export one figure a file";
@@ -225,23 +278,41 @@ impl<'a> Reader<'a> {
             found += 1;
             let before = values.len();
             for word in std::mem::take(&mut self.rest).split_whitespace() {
-                values.push(self.finite(word)?);
+                let channel = values.len() - before;
+                let owner = || {
+                    let mut owners = joints.iter().rev();
+                    let owner = owners.find(|joint| joint.first_channel <= channel);
+                    let name = owner.map_or("", |joint| &joint.name);
+                    format!(" in frame {found}, joint `{name}`")
+                };
+                values.push(self.number(word, owner)?);
             }
-            if found > frames || values.len() - before != channels {
-                let found = format!("frame {found} with {} numbers", values.len() - before);
-                let allowed = format!("one of {frames} frames with {channels} numbers");
+            if found > frames.saturating_add(1) {
+                let found = format!("frame {found}");
+                let allowed = format!("the {frames} frames that `Frames:` declares, or one more");
+                let hint = "correct the number after `Frames:`";
+                return Err(self.error(found, &allowed, hint));
+            }
+            if values.len() - before != channels {
+                let numbers = counted(values.len() - before, "number");
+                let found = format!("frame {found} with {numbers}");
+                let allowed = format!("a frame with {}", counted(channels, "number"));
                 let hint =
                     "each frame is one line with one number for each channel of the hierarchy";
                 return Err(self.error(found, &allowed, hint));
             }
         }
         if found < frames {
-            let found = format!("the end of the file after {found} frames");
-            let allowed = format!("the {frames} frames that `Frames:` declares");
+            let found = format!("the end of the file after {}", counted(found, "frame"));
+            let allowed = format!("the {} that `Frames:` declares", counted(frames, "frame"));
             let hint = "the file may be cut off; otherwise correct the number";
             return Err(self.error(found, &allowed, hint));
         }
-        Ok((frame_time, values))
+        Ok(Motion {
+            declared: frames,
+            frame_time,
+            values,
+        })
     }
 
     /// The value of a line `key: value`.

@@ -48,6 +48,7 @@ impl Bvh {
         Ok(Self {
             frame_time,
             values,
+            frames_beyond: 0,
             ..self.clone()
         })
     }

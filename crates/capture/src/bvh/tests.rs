@@ -103,6 +103,47 @@ fn tracks_are_in_metres_and_y_up() {
     assert!(bvh.joint_track(4, 1.0, UpAxis::Y).is_err());
 }
 
+const SMALL: &str = "HIERARCHY\nROOT a\n{ OFFSET 0 0 0\nCHANNELS 1 Xposition\n\
+                     JOINT b { OFFSET 0 1 0 CHANNELS 1 Yrotation } }\n\
+                     MOTION\nFrames: 2\nFrame Time: 0.1\n0 1\n2 3\n";
+
+#[test]
+fn lines_may_end_in_any_way_and_text_may_be_utf_16() {
+    let expected = parse(SMALL).unwrap();
+    for ends in ["\r", "\r\n"] {
+        assert_eq!(parse(&SMALL.replace('\n', ends)).unwrap(), expected);
+    }
+    let units = || "\u{feff}".encode_utf16().chain(SMALL.encode_utf16());
+    let little: Vec<u8> = units().flat_map(u16::to_le_bytes).collect();
+    let big: Vec<u8> = units().flat_map(u16::to_be_bytes).collect();
+    for bytes in [little, big] {
+        assert_eq!(Bvh::parse(&bytes, "take.bvh").unwrap(), expected);
+    }
+}
+
+#[test]
+fn one_frame_more_than_declared_is_read() {
+    let bvh = parse(&(SMALL.to_owned() + "4 5\n")).unwrap();
+    assert_eq!((bvh.frames(), bvh.frames_beyond()), (3, 1));
+    let error = parse(&(SMALL.to_owned() + "4 5\n6 7\n")).unwrap_err();
+    assert!(error.with_hint().contains("after `Frames:`"), "{error}");
+}
+
+#[test]
+fn undefined_numbers_are_named_with_frame_and_joint() {
+    for word in ["nan", "-nan(ind)", "1.#INF", "-inf", "1.#QNAN"] {
+        let error = parse(&SMALL.replace("2 3", &format!("2 {word}"))).unwrap_err();
+        let said = error.with_hint();
+        assert!(said.contains("in frame 2, joint `b`"), "{said}");
+        assert!(said.contains("undefined number"), "{said}");
+    }
+    let error = parse(&SMALL.replace("2 3", "2,5 3")).unwrap_err();
+    assert!(
+        error.with_hint().contains("decimals take a point"),
+        "{error}"
+    );
+}
+
 #[test]
 fn mistakes_are_named_with_their_line() {
     let cases = [
@@ -131,7 +172,7 @@ fn mistakes_are_named_with_their_line() {
         ),
         ("Frames: 2", "Frames: -2", 17, "at least 1"),
         ("Frames: 2", "Frames: 3", 20, "3 frames"),
-        ("Frames: 2", "Frames: 1", 20, "one of 1 frames"),
+        ("0 1 0\r", "0 nan 0\r", 7, "finite number"),
         (
             "Frames: 2",
             "Frames: 99999999999999999999",

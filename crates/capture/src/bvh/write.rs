@@ -85,6 +85,7 @@ impl Bvh {
             frame_time,
             channels: first_channel,
             values,
+            frames_beyond: 0,
         })
     }
 

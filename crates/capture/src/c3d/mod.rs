@@ -11,6 +11,8 @@ pub(super) mod tests;
 
 pub use bytes::Processor;
 
+use crate::bare_name;
+
 /// A C3D file: labels and points of all frames. Made by [`C3d::parse`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct C3d {
@@ -48,8 +50,25 @@ impl C3d {
         (!place[0].is_nan()).then(|| place.map(f64::from))
     }
 
+    /// Places of a point in all frames. A point at exactly 0, 0, 0 in some frames is missing there:
+    /// some programs write missing points so.
+    ///
+    /// # Panics
+    /// Panics if there is no such point.
+    pub fn track(&self, point: usize) -> Vec<Option<[f64; 3]>> {
+        let track = (0..self.frames()).map(|t| self.point(t, point));
+        let mut track: Vec<_> = track.collect();
+        if track.iter().flatten().any(|place| *place != [0.0; 3]) {
+            for place in &mut track {
+                *place = place.filter(|place| *place != [0.0; 3]);
+            }
+        }
+        track
+    }
+
     /// Indices of the points called `name`: the points with exactly this label, otherwise those
-    /// with this label behind a prefix (`SUBJECT:NAME`).
+    /// with this label behind a prefix (`SUBJECT:NAME`), otherwise those with this label in upper or
+    /// lower case.
     pub fn find(&self, name: &str) -> Vec<usize> {
         let with = |fits: &dyn Fn(&str) -> bool| -> Vec<usize> {
             let labels = self.labels.iter().enumerate();
@@ -57,7 +76,10 @@ impl C3d {
         };
         match with(&|label| label == name) {
             exact if !exact.is_empty() => exact,
-            _ => with(&|label| label.rsplit(':').next() == Some(name)),
+            _ => match with(&|label| bare_name(label) == name) {
+                bare if !bare.is_empty() => bare,
+                _ => with(&|label| bare_name(label).eq_ignore_ascii_case(name)),
+            },
         }
     }
 }

@@ -54,6 +54,33 @@ fn nan_counts_as_missing() {
     assert_eq!(parse(&example).unwrap().point(0, 0), None);
 }
 
+/// The frames in which the first point is missing.
+fn missing(c3d: &C3d) -> Vec<bool> {
+    c3d.track(0).iter().map(Option::is_none).collect()
+}
+
+#[test]
+fn a_point_at_the_origin_for_a_while_is_missing_there() {
+    let mut example = example();
+    example.frames[1][0] = Some([0.0; 3]);
+    let c3d = parse(&example).unwrap();
+    assert_eq!(missing(&c3d), [false, true, false]);
+    example
+        .frames
+        .iter_mut()
+        .for_each(|frame| frame[0] = Some([0.0; 3]));
+    let c3d = parse(&example).unwrap();
+    assert_eq!(missing(&c3d), [false; 3]);
+}
+
+#[test]
+fn names_are_found_in_lower_case() {
+    let mut example = example();
+    example.labels = vec!["walker:lfwt".to_string(), "LFWT_2".to_string()];
+    let c3d = parse(&example).unwrap();
+    assert_eq!(c3d.find("LFWT"), [0]);
+}
+
 #[test]
 fn names_are_found_with_and_without_prefix() {
     let mut example = example();

@@ -11,6 +11,7 @@
 use std::ops::Range;
 
 use kinegrad_motion::humanml::Skeleton;
+use kinegrad_settings::counted;
 use nalgebra::Vector3;
 
 use crate::C3d;
@@ -35,6 +36,9 @@ const MARKERS: [&str; 26] = [
     "C7", "CLAV", "LFHD", "RFHD", "LBHD", "RBHD", "LSHO", "RSHO", "LELB", "RELB", "LWRA", "LWRB",
     "RWRA", "RWRB",
 ];
+
+/// Most markers of a file in a message.
+const OWN: usize = 12;
 
 /// The names of the waist markers in Plug-in Gait.
 const WAIST: [&str; 4] = ["LASI", "RASI", "LPSI", "RPSI"];
@@ -66,11 +70,11 @@ impl Centres {
                 continue;
             };
             let label = &take.labels[point];
-            let mut track: Vec<_> = (0..take.frames()).map(|t| take.point(t, point)).collect();
+            let mut track = take.track(point);
             let gaps = fill_gaps(&mut track, most, label);
             if gaps.filled_frames > 0 {
                 let frames = gaps.filled_frames;
-                notes.push(format!("{frames} frames of {label} were filled"));
+                notes.push(format!("{} of {label} filled", counted(frames, "frame")));
             }
             if let Some(frame) = used.clone().find(|&t| track[t].is_none()) {
                 return Err(format!(
@@ -89,9 +93,15 @@ impl Centres {
         }
         if !lacking.is_empty() {
             let (count, all, names) = (lacking.len(), MARKERS.len(), lacking.join(", "));
+            let own: Vec<&str> = take.labels.iter().take(OWN).map(String::as_str).collect();
+            let more = match take.labels.len() - own.len() {
+                0 => String::new(),
+                more => format!(" and {more} more"),
+            };
             return Err(format!(
                 "no marker set that is known: it lacks {count} of the {all} markers needed, or has \
-                 them several times: {names}"
+                 them several times: {names}; it has {}{more}",
+                own.join(", ")
             ));
         }
         let mut joints = Vec::with_capacity(take.frames() * 22);
@@ -332,7 +342,7 @@ mod tests {
         assert!(body(&renamed).is_ok());
         let mut gap = whole.clone();
         gap.frames[5][4] = None;
-        assert!(body(&gap).unwrap().notes[0].contains("1 frames of who:LKNE were filled"));
+        assert!(body(&gap).unwrap().notes[0].contains("1 frame of who:LKNE filled"));
         for frame in &mut gap.frames[5..30] {
             frame[4] = None;
         }

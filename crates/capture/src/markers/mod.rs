@@ -80,7 +80,7 @@ impl MarkerMap {
             let mut tracks = Vec::new();
             for name in names {
                 let point = find(take, key, name)?;
-                let mut track: Vec<_> = (0..take.frames()).map(|t| take.point(t, point)).collect();
+                let mut track = take.track(point);
                 let found = fill_gaps(&mut track, self.max_gap_frames, &take.labels[point]);
                 if found.missing_frames > 0 && !gaps.contains(&found) {
                     gaps.push(found);
