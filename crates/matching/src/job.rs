@@ -177,6 +177,9 @@ impl Job {
         }
         for (own, motion) in self.fixed.iter().zip(fixed) {
             let part = Part::named(&own.part, named, &layout, "fixed part")?;
+            if part.root_trajectory {
+                layout.start_like(&own.motion.bvh);
+            }
             constraints.push(Constraint::Channels {
                 channels: part.channels(&layout).channels,
                 motion: motion.clone(),

@@ -146,9 +146,8 @@ impl MotionMatrix {
             |joint: &usize| *joint == layout.root_joint || layout.ancestors.contains(joint);
         let translated = (0..ranges.len()).filter(|joint| shifts(joint) && !carries(joint));
         layout.translated = translated.collect();
-        let pose = layout.locals(&first.bvh, 0)[layout.root_joint];
-        layout.start = pose.position;
-        layout.heading = options.heading.then(|| layout.heading_of(pose.orientation));
+        layout.heading = options.heading.then_some(0.0);
+        layout.start_like(&first.bvh);
         Ok(layout)
     }
 

@@ -1,6 +1,6 @@
 //! Body parts, each matched by itself.
 
-use kinegrad_capture::Joint;
+use kinegrad_capture::{Joint, bare_name};
 use kinegrad_motion::vector::length;
 use kinegrad_settings::read_toml;
 use serde::{Deserialize, Serialize};
@@ -91,7 +91,7 @@ impl Part {
             if is_limb && !subtree.iter().any(|&below| branches[below]) {
                 subtree.iter().for_each(|&below| in_trunk[below] = false);
                 limbs.push(Self {
-                    name: bare(&joints[joint].name).to_string(),
+                    name: bare_name(&joints[joint].name).to_string(),
                     joints: [vec![parent], subtree].concat(),
                     root_trajectory: parent == layout.root_joint,
                 });
@@ -207,7 +207,7 @@ impl Part {
         };
         if let Some((_, words, has_root)) = COMMON.iter().find(|(common, ..)| *common == name) {
             let called = |joint: usize, words: &str| {
-                let joint = bare(&joints[joint].name).to_lowercase();
+                let joint = bare_name(&joints[joint].name).to_lowercase();
                 words.split(' ').any(|word| joint.contains(word))
             };
             // A joint called hip is the joint of a thigh or of the whole body.
@@ -254,7 +254,7 @@ impl Part {
 /// The joints named foot, toe or ankle.
 pub fn feet(joints: &[Joint]) -> Vec<usize> {
     let is_foot = |joint: &usize| {
-        let name = bare(&joints[*joint].name).to_lowercase();
+        let name = bare_name(&joints[*joint].name).to_lowercase();
         let mut words = ["foot", "toe", "ankle"].iter();
         words.any(|word| name.contains(word))
     };
@@ -263,7 +263,7 @@ pub fn feet(joints: &[Joint]) -> Vec<usize> {
 
 fn joint(layout: &MotionMatrix, name: &str, file: &str) -> Result<usize, Error> {
     find(layout.joints(), name).ok_or_else(|| {
-        let names = layout.joints().iter().map(|joint| bare(&joint.name));
+        let names = layout.joints().iter().map(|joint| bare_name(&joint.name));
         let names: Vec<&str> = names.collect();
         let problem = format!("there is no joint `{name}`");
         Error::file(file, problem, format!("joints: {}", names.join(", ")))
@@ -273,12 +273,7 @@ fn joint(layout: &MotionMatrix, name: &str, file: &str) -> Result<usize, Error> 
 /// The joint of a name, with or without its namespace.
 fn find(joints: &[Joint], name: &str) -> Option<usize> {
     let mut joints = joints.iter();
-    joints.position(|joint| joint.name == name || bare(&joint.name) == name)
-}
-
-/// A joint name without its namespace, as in `mixamorig:Hips`.
-fn bare(name: &str) -> &str {
-    name.rsplit(':').next().unwrap_or(name)
+    joints.position(|joint| joint.name == name || bare_name(&joint.name) == name)
 }
 
 /// A joint and its descendants.

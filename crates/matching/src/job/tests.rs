@@ -1,5 +1,8 @@
 //! Jobs.
 
+use kinegrad_capture::RootPose;
+use kinegrad_motion::Quaternion;
+
 use super::*;
 use crate::motion_matrix::tests::example;
 use crate::{Preset, jerk_around};
@@ -81,6 +84,43 @@ fn fixed_parts_are_those_of_their_motion() {
     };
     let message = unknown.make(&[walk(70)]).unwrap_err().to_string();
     assert!(message.contains("no part or joint `wings`"), "{message}");
+}
+
+#[test]
+fn fixed_legs_stay_where_their_motion_has_them() {
+    let mut legs = example("legs.bvh", 64, 1.0 / 30.0);
+    let turn = Quaternion::from_rotation_vector([0.0, 0.8, 0.0]);
+    let mut locals: Vec<RootPose> = (0..64).flat_map(|t| legs.bvh.locals(t)).collect();
+    // The root joint is the second.
+    for hips in locals.iter_mut().skip(1).step_by(legs.bvh.joints().len()) {
+        let [x, y, z] = turn.rotate(hips.position);
+        hips.position = [x + 310.0, y, z - 200.0];
+        hips.orientation = turn * hips.orientation;
+    }
+    legs.bvh = legs.bvh.reposed(1.0 / 30.0, &locals).unwrap();
+    for heading in [Heading::World, Heading::Relative] {
+        let job = Job {
+            fixed: vec![Fixed {
+                part: "legs".to_string(),
+                motion: legs.clone(),
+            }],
+            heading,
+            ..job()
+        };
+        let made = job.make(&[walk(70)]).unwrap();
+        for t in 0..64 {
+            let (found, wanted) = (made.bvh.world(t), legs.bvh.world(t));
+            for joint in 2..6 {
+                for axis in 0..3 {
+                    let off = found[joint].position[axis] - wanted[joint].position[axis];
+                    assert!(
+                        off.abs() < 0.05,
+                        "{heading:?}, frame {t}, joint {joint}: {off}"
+                    );
+                }
+            }
+        }
+    }
 }
 
 #[test]

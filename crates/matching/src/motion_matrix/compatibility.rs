@@ -1,6 +1,6 @@
 //! Checks that motions have one skeleton and can be written with the channels of the first.
 
-use kinegrad_capture::{Bvh, Channel, Joint};
+use kinegrad_capture::{Bvh, Channel, Joint, bare_name};
 use kinegrad_motion::vector::length;
 
 use super::skeleton::{ancestors, position_ranges, thinning};
@@ -21,7 +21,8 @@ impl MotionMatrix {
         let (own, other) = (self.bvh.joints(), example.bvh.joints());
         let hint = "motions of one skeleton can be matched: the same joints in the same order";
         for (index, joint) in other.iter().enumerate() {
-            let same = |own: &Joint| own.name == joint.name && own.parent == joint.parent;
+            let name = bare_name(&joint.name);
+            let same = |own: &Joint| bare_name(&own.name) == name && own.parent == joint.parent;
             if !own.get(index).is_some_and(same) {
                 let expected = match own.get(index) {
                     Some(own) => format!("`{}`{}", own.name, below(&self.bvh, own.parent)),

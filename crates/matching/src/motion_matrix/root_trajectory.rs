@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use kinegrad_capture::{Axis, RootPose, UpAxis};
+use kinegrad_capture::{Axis, Bvh, RootPose, UpAxis};
 use kinegrad_motion::Quaternion;
 
 use super::MotionMatrix;
@@ -21,6 +21,13 @@ impl MotionMatrix {
         for (axis, place) in level.zip(place) {
             self.start[axis] = place - self.base[axis];
         }
+    }
+
+    /// Sets start and first heading of motions to those of `motion`.
+    pub(crate) fn start_like(&mut self, motion: &Bvh) {
+        let pose = self.locals(motion, 0)[self.root_joint];
+        self.start = pose.position;
+        self.heading = self.heading.map(|_| self.heading_of(pose.orientation));
     }
 
     /// Sets the start of motions so that `frames` pass `place` at frame `t`.

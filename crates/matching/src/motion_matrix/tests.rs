@@ -61,6 +61,27 @@ fn layout(examples: &[Example]) -> MotionMatrix {
 }
 
 #[test]
+fn prefixes_of_joint_names_may_differ() {
+    let renamed = |file: &str, prefix: &str| {
+        let text = text(20, 1.0 / 30.0).replace("JOINT ", &format!("JOINT {prefix}"));
+        let bvh = Bvh::parse(text.as_bytes(), file).unwrap();
+        Example {
+            file: file.to_string(),
+            bvh,
+        }
+    };
+    let files = [
+        renamed("a.bvh", "mixamorig:"),
+        renamed("b.bvh", "mixamorig7:"),
+        renamed("c.bvh", ""),
+    ];
+    let layout = layout(&files);
+    for file in &files {
+        assert_eq!(layout.to_frames(file).unwrap().frames(), 20);
+    }
+}
+
+#[test]
 fn a_motion_comes_back_as_it_was() {
     let walk = example("walk.bvh", 60, 1.0 / 30.0);
     let layout = layout(std::slice::from_ref(&walk));
