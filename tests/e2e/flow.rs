@@ -113,6 +113,14 @@ fn a_motion_goes_on_from_its_history_as_the_texts_say() {
         ));
         values(&sandbox, "on.npy")
     };
+    // The history may be a capture.
+    sandbox.write("line.toml", "points = [[0, 0], [0, 3]]\n");
+    sandbox
+        .run("warp walks/new_joint_vecs/walk_00003.npy --path line.toml --along own --out walk")
+        .succeeded();
+    draw("--history walk.bvh --frames 9 --text FIRST --out capture");
+    assert_eq!(values(&sandbox, "capture.npy").len(), 9 * 66);
+
     let same = on("--text FIRST");
     assert_eq!(same, on("--text FIRST"), "the same draw again");
     let record = fs::read_to_string(sandbox.path("on.json")).expect("a record");

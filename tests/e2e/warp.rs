@@ -44,6 +44,32 @@ fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
 /// Ends of some bones: thighs, shins, spine, upper arms.
 const BONES: [[usize; 2]; 6] = [[1, 4], [4, 7], [2, 5], [5, 8], [0, 3], [16, 18]];
 
+/// Joints of the skeleton and their names in Mixamo's captures.
+const MIXAMO: [(&str, &str); 22] = [
+    ("pelvis", "Hips"),
+    ("left_hip", "LeftUpLeg"),
+    ("right_hip", "RightUpLeg"),
+    ("spine1", "Spine"),
+    ("left_knee", "LeftLeg"),
+    ("right_knee", "RightLeg"),
+    ("spine2", "Spine1"),
+    ("left_ankle", "LeftFoot"),
+    ("right_ankle", "RightFoot"),
+    ("spine3", "Spine2"),
+    ("left_foot", "LeftToeBase"),
+    ("right_foot", "RightToeBase"),
+    ("neck", "Neck"),
+    ("left_collar", "LeftShoulder"),
+    ("right_collar", "RightShoulder"),
+    ("head", "Head"),
+    ("left_shoulder", "LeftArm"),
+    ("right_shoulder", "RightArm"),
+    ("left_elbow", "LeftForeArm"),
+    ("right_elbow", "RightForeArm"),
+    ("left_wrist", "LeftHand"),
+    ("right_wrist", "RightHand"),
+];
+
 #[test]
 fn a_walk_follows_paths_of_every_kind() {
     let sandbox = sandbox();
@@ -89,6 +115,30 @@ fn a_walk_follows_paths_of_every_kind() {
             .expect("metres")
             < 1e-4
     );
+    // A capture, here with the names of Mixamo.
+    let capture = fs::read_to_string(sandbox.path("line.bvh")).expect("a capture");
+    let capture = MIXAMO.iter().fold(capture, |text, (own, other)| {
+        text.replace(&format!(" {own}\n"), &format!(" mixamorig7:{other}\n"))
+    });
+    sandbox.write("capture.bvh", capture);
+    warp("capture.bvh --path line.toml --out captured");
+    let captured = frames(&sandbox, "captured.npy");
+    assert_eq!(captured.len(), walked.len());
+    for (a, b) in captured.iter().zip(&walked) {
+        for (a, b) in a.iter().zip(b) {
+            assert!(distance(*a, *b) < 0.03, "{a:?} {b:?}");
+        }
+    }
+    sandbox.write("crab.bvh", "HIERARCHY\nROOT Claw\n{ OFFSET 0 0 0\nCHANNELS 1 Xposition\n}\nMOTION\nFrames: 2\nFrame Time: 0.1\n0\n1\n");
+    sandbox
+        .run("warp crab.bvh --path line.toml --out crab")
+        .failed(
+            2,
+            &[
+                "crab.bvh: no built-in joint map fits",
+                "kinegrad data prepare",
+            ],
+        );
     // A drawing: half a circle of a metre, ending two metres further up.
     warp("walk.features.npy --path circle.svg --metres-per-unit 0.01 --out circle");
     let circle = frames(&sandbox, "circle.npy");

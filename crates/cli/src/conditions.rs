@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use kinegrad_motion::humanml::Joints;
 use kinegrad_train::Error;
 use kinegrad_train::sampling::{
     Condition, GoalCondition, KnownFramesCondition, OtherCondition, PathFile, Style,
@@ -11,6 +12,7 @@ use kinegrad_train::sampling::{
 
 use crate::args::BeatArguments;
 use crate::checkpoint;
+use crate::io::{is_bvh, read_body};
 
 /// Options that name conditions.
 #[derive(Clone, Debug, Default, Args)]
@@ -52,8 +54,9 @@ pub struct ConditionArguments {
     /// selects row N of the tensor
     #[arg(long, value_name = "FILE#KEY")]
     pub text_embedding: Option<String>,
-    /// Joint positions `[T, J, 3]` in meters that the motion continues, for runs of recipe `flow`
-    #[arg(long, value_name = "MOTION.npy")]
+    /// Motion to continue, for runs of recipe `flow`: joint positions `[T, J, 3]` in meters (.npy), or
+    /// a capture (.bvh)
+    #[arg(long, value_name = "MOTION")]
     pub history: Option<PathBuf>,
     /// Sequence of texts with their lengths, for runs of recipe `flow` or `bpe_motion`
     #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["text", "text_embedding"])]
@@ -92,6 +95,15 @@ pub struct ConditionArguments {
 }
 
 impl ConditionArguments {
+    /// The joints of a history in a BVH file, with the bones of the HumanML3D skeleton.
+    ///
+    /// # Errors
+    /// If the file is not a body.
+    pub fn history_joints(&self) -> Result<Option<Joints>, Error> {
+        let capture = self.history.as_ref().filter(|file| is_bvh(file));
+        capture.map(|file| read_body(file, true)).transpose()
+    }
+
     /// The conditions.
     ///
     /// # Errors

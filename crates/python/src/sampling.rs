@@ -70,11 +70,13 @@ impl SampleRequest {
             held_out: self.held_out,
             ..ConditionArguments::default()
         };
+        let history_joints = conditions.history_joints()?;
         let conditions = conditions.conditions()?;
         let allowed = "\"default\", \"ccmotion\" and \"none\"";
         let profile = named("`postprocess`", &self.postprocess, allowed)?;
         Ok(Request {
             conditions,
+            history_joints,
             count: self.count,
             frames: self.frames,
             seconds: self.seconds,

@@ -16,7 +16,7 @@ const BELOW: f64 = 0.05;
 /// The joints of a take with its feet on the floor, to cut clips from.
 pub(super) struct Grounded {
     /// `[frames, J]`, metres; the floor is y = 0.
-    joints: Joints,
+    pub joints: Joints,
 }
 
 impl Grounded {

@@ -16,6 +16,7 @@ mod labels;
 mod map;
 #[cfg(test)]
 mod map_tests;
+mod reading;
 mod report;
 mod split;
 mod take;
@@ -29,6 +30,7 @@ use std::path::Path;
 use kinegrad_data::{Digest, Store, manifest, matches};
 
 pub use captions::Labels;
+pub use reading::read_body;
 pub use report::{ClipTakeReport, ClipsReport};
 
 use crate::Error;

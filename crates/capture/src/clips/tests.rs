@@ -82,6 +82,33 @@ pub(super) fn body_of(text: &str, map: &JointMap) -> Result<Body, String> {
 }
 
 #[test]
+fn a_single_capture_gives_the_joints_of_its_body() {
+    let joints = walking(31, 20.0, 1.2);
+    // Half a metre above the floor.
+    let raised = joints.as_slice().iter().map(|[x, y, z]| [*x, y + 0.5, *z]);
+    let raised = Joints::new(raised.collect(), 22).unwrap();
+    let text = capture(&raised, "mixamo", 20.0);
+    let bvh = Bvh::parse(text.as_bytes(), "take.bvh").unwrap();
+    for retarget in [false, true] {
+        let (found, notes) = read_body(&bvh, "take.bvh", retarget).unwrap();
+        assert_eq!((found.frames(), notes.len()), (31, 0));
+        for t in 0..31 {
+            for (a, b) in found.frame(t).iter().zip(joints.frame(t)) {
+                let apart = length([0, 1, 2].map(|axis| a[axis] - b[axis]));
+                assert!(apart < 0.03, "frame {t}: {apart} m");
+            }
+        }
+    }
+    let crab = text.replace("LeftLeg", "Claw");
+    let crab = Bvh::parse(crab.as_bytes(), "take.bvh").unwrap();
+    let message = read_body(&crab, "crab.bvh", false).unwrap_err().to_string();
+    assert!(
+        message.starts_with("crab.bvh: no built-in joint map fits"),
+        "{message}"
+    );
+}
+
+#[test]
 fn a_body_is_where_its_joints_were_with_unit_and_axis_found() {
     let joints = walking(31, 30.0, 1.2);
     for map in ["mixamo", "xsens"] {

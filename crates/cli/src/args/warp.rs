@@ -13,10 +13,12 @@ use super::values::named;
 Examples:
   kinegrad warp walk.npy --path circle.toml --lock-feet --out circle
   kinegrad warp walk.npy --path corridor.csv --along own --out corridor
+  kinegrad warp capture.bvh --path circle.toml --out circle
   kinegrad warp walk.features.npy --path map.svg --metres-per-unit 0.01 --out map")]
 pub struct WarpArguments {
-    /// Motion to move (.npy): joint positions or joint features
-    #[arg(value_name = "MOTION.npy")]
+    /// Motion to move: joint positions or joint features (.npy), or a capture (.bvh), which is
+    /// resampled to 20 frames per second
+    #[arg(value_name = "MOTION")]
     pub motion: PathBuf,
     /// Path: points in meters (.toml or .csv), or a drawing (.svg)
     #[arg(long, value_name = "FILE")]

@@ -49,6 +49,7 @@ fn sample(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, 
         .extend(method.map(|method| format!("evaluation.path.method={method}")));
     let trained = trained(systems, &arguments.run, &sampler)?;
     let request = Request {
+        history_joints: arguments.conditions.history_joints()?,
         conditions: arguments.conditions.conditions()?,
         count: arguments.count,
         frames: arguments.frames,

@@ -14,7 +14,7 @@ use kinegrad_train::{Error, Systems};
 use serde::Serialize;
 
 use crate::args::WarpArguments;
-use crate::io::{Content, MotionArray, bvh_file, must_be_new, stem, write_all};
+use crate::io::{Content, MotionArray, bvh_file, is_bvh, must_be_new, read_body, stem, write_all};
 use crate::output::unusable;
 use crate::{folder, interrupt, output};
 
@@ -201,7 +201,10 @@ fn read_path(arguments: &WarpArguments) -> Result<(String, PathPlan), Error> {
 
 /// The joints of a motion and their skeleton.
 fn read_motion(systems: Systems<'_>, path: &Path) -> Result<(Joints, Skeleton), Error> {
-    let (joints, skeleton) = MotionArray::read(systems, path)?.body()?;
+    let (joints, skeleton) = match is_bvh(path) {
+        true => (read_body(path, false)?, Skeleton::humanml3d()),
+        false => MotionArray::read(systems, path)?.body()?,
+    };
     if joints.frames() < 2 {
         let message = format!("{} has a single frame", path.display());
         return Err(Error::usage(message, "give a motion of two frames or more"));

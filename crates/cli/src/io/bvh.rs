@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use kinegrad_capture::{Bvh, Units, UpAxis};
+use kinegrad_capture::{Bvh, Units, UpAxis, bare_name, clips};
 use kinegrad_data::file::read_file;
 use kinegrad_motion::feet::{ContactRule, Planted, lock_joints};
 use kinegrad_motion::humanml::{Joints, Skeleton};
@@ -35,7 +35,23 @@ pub fn read_bvh(path: &Path) -> Result<Bvh, Error> {
         let message = format!("{file} cannot be read: {error}");
         Error::usage(message, "give a BVH file that is there")
     })?;
-    Bvh::parse(&bytes, &file).map_err(unusable)
+    let bvh = Bvh::parse(&bytes, &file).map_err(unusable)?;
+    if bvh.frames_beyond() > 0 {
+        let (declared, frames) = (bvh.frames() - bvh.frames_beyond(), bvh.frames());
+        tell!("note: {file}: `Frames:` declares {declared}, and {frames} follow: all are read");
+    }
+    Ok(bvh)
+}
+
+/// The body of a BVH file as joints of the HumanML3D skeleton ([`clips::read_body`]); prints notes.
+pub fn read_body(path: &Path, retarget: bool) -> Result<Joints, Error> {
+    let file = path.display().to_string();
+    let body = clips::read_body(&read_bvh(path)?, &file, retarget);
+    let (joints, notes) = body.map_err(unusable)?;
+    for note in notes {
+        tell!("note: {file}: {note}");
+    }
+    Ok(joints)
 }
 
 /// The unit and vertical axis of BVH files; absent values are guessed from the body.
@@ -224,7 +240,7 @@ fn in_words(units: Units) -> &'static str {
 
 /// True for the name of a foot or toe joint that is not an end effector.
 pub fn is_foot(name: &str) -> bool {
-    let name = name.rsplit(':').next().unwrap_or(name).to_lowercase();
+    let name = bare_name(name).to_lowercase();
     (name.contains("foot") || name.contains("toe")) && !name.ends_with("end")
 }
 

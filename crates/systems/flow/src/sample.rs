@@ -10,6 +10,7 @@ use kinegrad_data::{Alone, Dataset, ItemSet, read_array};
 use kinegrad_diffusion::SamplerConfig;
 use kinegrad_motion::humanml::Joints;
 use kinegrad_random::{Key, Purpose};
+use kinegrad_settings::counted;
 use kinegrad_train::clips::captions::{ClipText, must_know_texts, text_of};
 use kinegrad_train::clips::{TimedPrompt, requested};
 use kinegrad_train::sampling::{
@@ -76,7 +77,11 @@ impl<'a> Rollouts<'a> {
                 let message = "option `history` with option `item`";
                 return Err(Error::usage(message, hint));
             }
-            let history = read_history(file, &space)?;
+            let joints = match &request.history_joints {
+                Some(joints) => joints.clone(),
+                None => read_history(file, &space)?,
+            };
+            let history = checked_history(file, joints, &space)?;
             let prompts = prompts.unwrap_or_else(|| vec![TimedPrompt { text: None, frames }]);
             let condition = Condition::History(file.to_path_buf());
             rollouts.jobs.push(Job {
@@ -97,7 +102,7 @@ impl<'a> Rollouts<'a> {
             for clip in &clips {
                 let found = clip.features.frames();
                 if found < needed {
-                    let message = format!("clip `{}` has {found} frames", clip.id);
+                    let message = format!("clip `{}` has {}", clip.id, counted(found, "frame"));
                     let hint =
                         format!("a rollout needs {needed} frames of history: name a longer clip");
                     return Err(Error::usage(message, hint));
@@ -207,7 +212,8 @@ impl Sampler for Rollouts<'_> {
             }
         }
         let each = evaluations as f64 / all as f64;
-        let summary = format!("{all} frames, {each:.1} velocity evaluations each");
+        let frames = counted(all, "frame");
+        let summary = format!("{frames}, {each:.1} velocity evaluations each");
         Ok(Some(Summary::Text(summary)))
     }
 }
@@ -259,18 +265,21 @@ const BONES: RangeInclusive<f64> = 0.005..=3.0;
 /// Allowed heights of the lowest joint in meters, from the floor to a leap.
 const LOWEST: RangeInclusive<f64> = -0.5..=1.5;
 
+/// The error of an unusable history.
+fn refused(path: &Path, space: &PoseSpace, found: String) -> Error {
+    let (joints, needed) = (space.skeleton.joints(), space.history + 1);
+    let hint = format!(
+        "a history is joints in metres, `[T, {joints}, 3]` with {needed} frames or more, as \
+         `kinegrad sample` writes them of a run on clips, or a BVH file"
+    );
+    Error::usage(format!("{}: {found}", path.display()), hint)
+}
+
 /// Joints `[T, J, 3]`.
 fn read_history(path: &Path, space: &PoseSpace) -> Result<Joints, Error> {
     let array = read_array(path)?;
-    let (joints, needed) = (space.skeleton.joints(), space.history + 1);
-    let refused = |found: String| {
-        let message = format!("{}: {found}", path.display());
-        let hint = format!(
-            "a history is joints in metres, `[T, {joints}, 3]` with {needed} frames or more, as \
-             `kinegrad sample` writes them of a run on clips"
-        );
-        Error::usage(message, hint)
-    };
+    let refused = |found: String| refused(path, space, found);
+    let joints = space.skeleton.joints();
     if !matches!(array.shape[..], [_, found, 3] if found == joints) {
         return Err(refused(format!("an array of shape {:?}", array.shape)));
     }
@@ -282,10 +291,21 @@ fn read_history(path: &Path, space: &PoseSpace) -> Result<Joints, Error> {
             "frame {frame} has the number {value}: a place is at most {FURTHEST} m from the origin"
         )));
     }
-    if array.shape[0] < needed {
-        return Err(refused(format!("{} frames", array.shape[0])));
+    Ok(Joints::from_f32(&array.values, joints)?)
+}
+
+/// A history of enough frames with a body.
+fn checked_history(path: &Path, found: Joints, space: &PoseSpace) -> Result<Joints, Error> {
+    let refused = |found: String| refused(path, space, found);
+    let needed = space.history + 1;
+    if found.frames() < needed || found.joints() != space.skeleton.joints() {
+        let found = format!(
+            "{} of {} joints",
+            counted(found.frames(), "frame"),
+            found.joints()
+        );
+        return Err(refused(found));
     }
-    let found = Joints::from_f32(&array.values, joints)?;
     let names = &space.skeleton.description().joint_names;
     for frame in found.frames() - needed..found.frames() {
         let places = found.frame(frame);

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use kinegrad_motion::humanml::Joints;
 use kinegrad_motion::{MAX_FRAMES, PostProcessProfile};
 use kinegrad_settings::{ABOVE_ZERO, Refused, in_range};
 
@@ -13,6 +14,9 @@ use crate::error::Error;
 pub struct Request {
     /// The conditions; without conditions the system chooses one, or samples unconditionally.
     pub conditions: Vec<Condition>,
+    /// Joint positions of the history in metres, for a [`Condition::History`] whose file is not an
+    /// array.
+    pub history_joints: Option<Joints>,
     /// Samples per condition.
     pub count: usize,
     /// Frames to generate.
