@@ -218,11 +218,18 @@ fn crc32(bytes: &[u8]) -> u32 {
 fn published_compositions_become_a_run_that_composes() {
     let sandbox = published();
     let weights = workspace().join("data_fixtures/flowmdm/checkpoint.pt");
-    sandbox.write("flowmdm.pt", fs::read(weights).expect("a fixture"));
-    let import = "import flowmdm.pt --arch flowmdm --mean m.npy --std s.npy";
-    let said = sandbox
-        .run(&format!("{import} --out runs/flowmdm"))
-        .succeeded();
+    sandbox.write("flowmdm.pt", fs::read(&weights).expect("a fixture"));
+    // The command of the documentation, with its names of files.
+    let page = fs::read_to_string(workspace().join("docs/compose.md")).expect("a page");
+    let mut lines = page.lines();
+    let command = lines.find_map(|line| line.strip_prefix("kinegrad import "));
+    let command = command.expect("a command of import");
+    let file = command.split(' ').next().expect("the weights");
+    sandbox.write(file, fs::read(&weights).expect("a fixture"));
+    for (own, documented) in [("m.npy", "Mean.npy"), ("s.npy", "Std.npy")] {
+        sandbox.write(documented, fs::read(sandbox.path(own)).expect("a file"));
+    }
+    let said = sandbox.run(&format!("import {command}")).succeeded();
     assert!(said.stdout.contains("parameters"), "{}", said.stdout);
     sandbox
         .run("sample runs/flowmdm --frames 30 --steps 3 --out composed")

@@ -33,11 +33,30 @@ pub fn read_tensors(path: &Path) -> Result<BTreeMap<String, Tensor>, Error> {
     let bytes = |tensor: &Tensor| tensor.byte_len() as u64;
     let stated = tensors.values().map(bytes).try_fold(0, u64::checked_add);
     match stated.is_some_and(|stated| stated <= SHARED.saturating_mul(length)) {
-        true => Ok(tensors),
+        true => Ok(unwrapped(tensors)),
         false => Err(foreign(format!(
             "its tensors need more than its {length} bytes"
         ))),
     }
+}
+
+/// Parts of names that wrappers add: data parallelism, compiled models, Lightning.
+const WRAPPERS: [&str; 3] = ["module", "_orig_mod", STATE_DICT];
+
+/// The dictionary with the weights in files with more, such as the state of an optimizer.
+const STATE_DICT: &str = "state_dict";
+
+/// Tensors named without the parts that wrappers add; those of `state_dict` alone if it exists.
+fn unwrapped<T>(mut tensors: BTreeMap<String, T>) -> BTreeMap<String, T> {
+    let is_inside = |name: &str| name.split('.').next() == Some(STATE_DICT);
+    if tensors.keys().any(|name| is_inside(name)) {
+        tensors.retain(|name, _| is_inside(name));
+    }
+    let plain = tensors.into_iter().map(|(name, tensor)| {
+        let parts = name.split('.').filter(|part| !WRAPPERS.contains(part));
+        (parts.collect::<Vec<_>>().join("."), tensor)
+    });
+    plain.collect()
 }
 
 /// Limit on the total size of tensors with shared storage, in file sizes.
@@ -169,4 +188,29 @@ pub fn mean_and_deviation(mean_path: &Path, std_path: &Path) -> Result<[Vec<f64>
 fn vector(path: &Path) -> Result<Vec<f64>, Error> {
     let values = array(path, "one axis", |shape| shape.len() == 1)?;
     Ok(values.into_iter().map(f64::from).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_lose_the_parts_that_wrappers_add() {
+        let names = |names: &[&str]| {
+            let tensors = names.iter().map(|name| ((*name).to_owned(), ()));
+            let plain = unwrapped(tensors.collect());
+            plain.into_keys().collect::<Vec<String>>()
+        };
+        assert_eq!(
+            names(&["embed.weight", "out.bias"]),
+            ["embed.weight", "out.bias"]
+        );
+        assert_eq!(names(&["module.a.weight", "module.b"]), ["a.weight", "b"]);
+        assert_eq!(
+            names(&["model.module.a", "model_avg.module.a"]),
+            ["model.a", "model_avg.a"]
+        );
+        let lightning = ["optimizer_states.0.step", "state_dict.model._orig_mod.a"];
+        assert_eq!(names(&lightning), ["model.a"]);
+    }
 }

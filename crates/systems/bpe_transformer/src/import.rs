@@ -11,7 +11,7 @@ use kinegrad_settings::require;
 use kinegrad_train::checkpoint::must_be_free;
 use kinegrad_train::config::{Config, OwnTables};
 use kinegrad_train::import::{ImportRequest, Imported, needed, size, skeleton_of};
-use kinegrad_train::published::{self, mean_and_deviation, read_tensors};
+use kinegrad_train::published::{self, mean_and_deviation, part_of, read_tensors};
 use kinegrad_train::{Error, Systems};
 use pytorch_reader::Tensor;
 
@@ -43,6 +43,8 @@ pub(super) fn import(request: &ImportRequest) -> Result<Imported, Error> {
     }
     must_be_free(&request.out)?;
     let tensors = read_tensors(&request.weights)?;
+    let inside = part_of(&tensors, "model");
+    let tensors = if inside.is_empty() { tensors } else { inside };
     let (tensors, skipped) = needed(tensors, &TABLES);
     let (config, statistics) = settings(request, statistics, &tensors)?;
     let model = network(&config, &Device::flex())?;
