@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use kinegrad_motion::Statistics;
 use kinegrad_ranks::{Alone, Sharing};
+use kinegrad_settings::{counted, plural};
 
 use crate::item::Item;
 use crate::item_set::ItemSet;
@@ -13,6 +14,9 @@ use crate::{DataConfig, Digest, Error, LoaderReport};
 
 /// Maximum number of notes that are reported individually.
 const NOTES: usize = 5;
+
+/// Maximum number of ids in a hint.
+const IDS: usize = 8;
 
 /// The items of a dataset; each split is sorted by id.
 #[derive(Debug)]
@@ -66,7 +70,10 @@ impl<T: Listable> Dataset<T> {
         {
             let (problem, hint) = match (left_out.len(), skipped.len()) {
                 (0, skipped) => (
-                    format!("data.on_bad_phrase = \"skip\" left none of {skipped} {kind}s"),
+                    format!(
+                        "data.on_bad_phrase = \"skip\" left none of {}",
+                        counted(skipped, kind)
+                    ),
                     format!("`kinegrad data inspect` lists what is wrong with each {kind}"),
                 ),
                 (clips, _) => (
@@ -83,7 +90,7 @@ impl<T: Listable> Dataset<T> {
         warnings.extend(gathered.notes.iter().map(named).take(NOTES));
         if gathered.notes.len() > NOTES {
             let more = gathered.notes.len() - NOTES;
-            warnings.push(format!("{more} more {kind}s of that sort"));
+            warnings.push(format!("{more} more {} of that sort", plural(more, kind)));
         }
         let representation = scan.representation.clone();
         let stored_statistics = scan.stored_statistics.take();
@@ -171,6 +178,19 @@ impl<T: Item> Dataset<T> {
             None => self.validation.find(id),
             found => Ok(found),
         }
+    }
+
+    /// A hint with ids, for an id that the dataset lacks.
+    pub fn ids_hint(&self) -> String {
+        let ids = self.validation.ids().chain(self.train.ids());
+        let shown: Vec<String> = ids.take(IDS).map(|id| format!("`{id}`")).collect();
+        let all = self.validation.len() + self.train.len();
+        let more = match all - shown.len() {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
+        let shown = shown.join(", ");
+        format!("it has {shown}{more}; `*` in an id stands for any characters")
     }
 
     /// The held-out items or, without held-out items, the training items.

@@ -74,8 +74,8 @@ pub enum Error {
     /// The build lacks a feature.
     #[error("{what}: this build of kinegrad lacks the feature `{feature}`")]
     #[diagnostic(help(
-        "install the wheel, which has it: `pip install kinegrad`; or build it with \
-         the Cargo feature `full` (or `{feature}`)"
+        "build kinegrad with the Cargo feature `full` (or `{feature}`), or build and install the wheel, \
+         which has it: `pip install $(scripts/wheel)` in a checkout"
     ))]
     Feature {
         /// The requested object.
@@ -274,6 +274,6 @@ mod tests {
             feature: "manifest",
         };
         let help = lacking.help().expect("a hint").to_string();
-        assert!(help.contains("pip install kinegrad") && help.contains("`full`"));
+        assert!(help.contains("pip install $(scripts/wheel)") && help.contains("`full`"));
     }
 }

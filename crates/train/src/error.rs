@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-use kinegrad_settings::{DocumentError, InvalidSetting};
+use kinegrad_settings::{DocumentError, InvalidSetting, counted};
 use miette::Diagnostic;
 use thiserror::Error;
 
@@ -111,9 +111,9 @@ pub enum Error {
     },
     /// Weights of another program that do not fit.
     #[error(
-        "{} does not fit: {} differences\n  {}",
+        "{} does not fit: {}\n  {}",
         path.display(),
-        differences.len(),
+        counted(differences.len(), "difference"),
         differences.join("\n  ")
     )]
     #[diagnostic(help(
@@ -148,7 +148,9 @@ pub enum Error {
     },
     /// A checkpoint without adapters to merge.
     #[error("{} has no low-rank adapters to merge", path.display())]
-    #[diagnostic(help("its weights are merged already; adapters are trained with a `lora` table"))]
+    #[diagnostic(help(
+        "its weights need no merging and are used as they are; adapters are trained with a `lora` table"
+    ))]
     NoAdapters {
         /// The checkpoint.
         path: PathBuf,

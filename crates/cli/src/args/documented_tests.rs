@@ -14,7 +14,7 @@ struct Page {
     inline: Vec<String>,
 }
 
-fn files(folder: &Path, extension: &str, found: &mut Vec<PathBuf>) {
+pub fn files(folder: &Path, extension: &str, found: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).expect("a folder") {
         let path = entry.expect("an entry").path();
         if path.is_dir() {
@@ -26,7 +26,7 @@ fn files(folder: &Path, extension: &str, found: &mut Vec<PathBuf>) {
 }
 
 /// Lines; a line that ends in `\` is joined to the next line.
-fn joined(text: &str) -> Vec<String> {
+pub fn joined(text: &str) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     let mut goes_on = false;
     for line in text.lines() {
@@ -84,7 +84,7 @@ fn page(path: PathBuf) -> Page {
 }
 
 /// The error of a command.
-fn fault(command: &str, whole: bool) -> Option<String> {
+pub fn fault(command: &str, whole: bool) -> Option<String> {
     // Operators of the shell end a command; `[...]` and `...` are placeholders.
     let Some(words) = shlex::split(command) else {
         return whole.then(|| format!("`{command}`: a quote without its end"));

@@ -468,8 +468,7 @@ fn of_phrases(
     if found.is_empty() {
         let (wanted, _) = item.unwrap_or_default();
         let message = format!("the dataset has no phrase `{wanted}`");
-        let hint = "`kinegrad data inspect URI` lists the phrases";
-        return Err(Error::usage(message, hint));
+        return Err(Error::usage(message, dataset.ids_hint()));
     }
     if item.is_none() {
         let side = match dataset.validation.is_empty() {

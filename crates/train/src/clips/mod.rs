@@ -48,8 +48,7 @@ pub(crate) fn clips_named(dataset: &Dataset<Clip>, pattern: &str) -> Result<Vec<
     }
     if chosen.is_empty() {
         let message = format!("the dataset has no clip `{pattern}`");
-        let hint = "`kinegrad data inspect URI` lists the clips";
-        return Err(Error::usage(message, hint));
+        return Err(Error::usage(message, dataset.ids_hint()));
     }
     Ok(chosen)
 }

@@ -7,6 +7,7 @@ use kinegrad_data::read_motion;
 use kinegrad_motion::derivatives::make_sign_continuous;
 use kinegrad_motion::stitch;
 use kinegrad_motion::{CHANNELS, Phrase, Quaternion, channel_name};
+use kinegrad_settings::counted;
 
 use super::KnownFramesCondition;
 use crate::error::Error;
@@ -73,7 +74,7 @@ impl KnownFramesCondition {
             let channel = channel_name(channel);
             return Err(Error::usage(
                 format!("{name}: {channel} of frame {frame} is not finite"),
-                "`kinegrad check` reports which frames of a motion are sound",
+                "give a motion whose numbers are all finite",
             ));
         }
         let ranges = self.frames.iter().map(|[start, end]| *start..*end);
@@ -90,7 +91,10 @@ impl KnownFramesCondition {
                 false => ("the sample".to_string(), frames),
             };
             return Err(Error::usage(
-                format!("option `{option}` reaches to frame {end}, {what} has {has} frames"),
+                format!(
+                    "option `{option}` reaches to frame {end}, {what} has {}",
+                    counted(has, "frame")
+                ),
                 "keep frames that both have; option `frames` sets the length of the sample",
             ));
         }
