@@ -18,12 +18,14 @@ pub type Place<'a> = &'a dyn Fn(&str) -> String;
 pub enum DocumentError {
     /// Text that is not TOML.
     #[error("{place}: {message}")]
-    #[diagnostic(help("the file is TOML: tables in [brackets], `key = value` lines"))]
+    #[diagnostic(help("{hint}"))]
     Syntax {
         /// File and line.
         place: String,
         /// The parser's message.
         message: String,
+        /// The remedy.
+        hint: &'static str,
     },
     /// A key that does not exist.
     #[error("{place}: unknown key `{key}`, allowed: {allowed}")]
@@ -85,6 +87,13 @@ impl<'a> Document<'a> {
                 message if message.starts_with("invalid type") => in_words(message),
                 message => message.to_owned(),
             },
+            hint: match error
+                .span()
+                .is_some_and(|span| has_backslash(text, span.start))
+            {
+                true => "a path with backslashes stands in single quotes: 'C:\\Users\\me'",
+                false => "the file is TOML: tables in [brackets], `key = value` lines",
+            },
         };
         Ok(Self {
             spans: DeTable::parse(text).map_err(no_toml)?,
@@ -120,6 +129,13 @@ impl<'a> Document<'a> {
             setting,
         }
     }
+}
+
+/// True if the line of byte `place` has a backslash after double quotes.
+fn has_backslash(text: &str, place: usize) -> bool {
+    let line = text.lines().nth(line_of(text, place) - 1);
+    let quoted = line.and_then(|line| line.split_once('"'));
+    quoted.is_some_and(|(_, text)| text.contains('\\'))
 }
 
 /// [`Document::parse`], then [`Document::read`]. Fails as both.
@@ -353,6 +369,19 @@ mod tests {
     }
 
     const AT: Place<'_> = &|key| format!("at {key}");
+
+    #[test]
+    fn paths_with_backslashes_have_their_own_hint() {
+        for (text, expected) in [
+            ("[data]\nsource = \"C:\\Users\\me\"\n", "single quotes"),
+            ("source = \"D:\\data\"\n", "single quotes"),
+            ("source = \n", "[brackets]"),
+        ] {
+            let error = Document::parse(text, "c.toml").err().expect("no TOML");
+            let hint = error.help().expect("a hint").to_string();
+            assert!(hint.contains(expected), "{text}: {error}: {hint}");
+        }
+    }
 
     #[test]
     fn numbers_that_are_not_finite_are_named_at_any_depth() {
