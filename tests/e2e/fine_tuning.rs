@@ -80,6 +80,19 @@ fn a_decoder_learns_on_a_denoiser_that_stays_as_it_is() {
 }
 
 #[test]
+fn a_fine_tuning_that_gets_worse_says_that_the_start_is_kept() {
+    let sandbox = sandbox();
+    let settings = "--set optim.learning_rate=0.5 --set optim.warmup_steps=0";
+    let said = sandbox.run(&e2e("worse", settings)).succeeded().stdout;
+    assert!(
+        said.contains("no step was better, so the start is kept"),
+        "{said}"
+    );
+    let listed = sandbox.run("runs").succeeded().stdout;
+    assert!(listed.contains("at the start"), "{listed}");
+}
+
+#[test]
 fn fine_tuning_trains_both_networks_at_their_own_rates() {
     let sandbox = sandbox();
     let settings = "--set optim.groups.unet=1e-6 --set optim.groups.decoder=5e-5 \
@@ -262,7 +275,7 @@ fn adapters_alone_are_trained_and_merge_into_plain_weights() {
     }
     sandbox
         .run("merge runs/merged --out runs/again")
-        .failed(2, &["has no low-rank adapters to merge"]);
+        .failed(2, &["has no low-rank adapters to merge", "need no merging"]);
     sandbox
         .run("merge runs/adapted --out runs/base")
         .failed(2, &["exists already and is not an empty folder"]);

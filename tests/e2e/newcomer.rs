@@ -31,7 +31,18 @@ fn init_and_train_work_in_an_empty_folder() {
         fs::read(sandbox.path("kinegrad.toml")).expect("a file"),
         b"mine"
     );
+    let printed = sandbox.run("init --out -").succeeded().stdout;
+    assert!(!sandbox.path("-").exists());
+    assert!(
+        printed.starts_with("# Written by `kinegrad init quickstart`"),
+        "{printed}"
+    );
     sandbox.run("init --out other.toml").succeeded();
+    let other = fs::read_to_string(sandbox.path("other.toml")).expect("a file");
+    assert_eq!(
+        printed.lines().skip(1).collect::<Vec<_>>(),
+        other.lines().skip(1).collect::<Vec<_>>()
+    );
     assert!(sandbox.path("other.toml").exists());
 }
 

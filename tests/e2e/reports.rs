@@ -275,7 +275,12 @@ fn a_page_needs_a_run_and_a_place() {
 #[test]
 fn runs_are_listed_with_their_states() {
     let sandbox = sandbox();
-    sandbox.run("runs").failed(2, &["there is no folder runs"]);
+    assert_eq!(sandbox.run("runs").succeeded().stdout, "no runs in runs\n");
+    let none = sandbox.run("runs --json").succeeded().stdout;
+    assert_eq!(none, "{\"runs\":[]}\n");
+    sandbox
+        .run("runs other")
+        .failed(2, &["there is no folder other"]);
     fs::create_dir(sandbox.path("runs")).expect("a folder");
     let none = sandbox.run("runs").succeeded();
     assert_eq!(none.stdout.trim(), "no runs in runs");

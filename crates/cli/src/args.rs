@@ -5,6 +5,8 @@ mod data;
 #[cfg(test)]
 mod documented_tests;
 mod eval;
+#[cfg(test)]
+mod hint_tests;
 mod matching;
 mod reading;
 mod reports;
@@ -19,8 +21,10 @@ mod weights;
 
 use std::any::TypeId;
 use std::ffi::OsString;
+use std::path::PathBuf;
 
-use clap::{ArgAction, Command as Line, CommandFactory, FromArgMatches, Parser, Subcommand};
+use clap::builder::{PathBufValueParser, StringValueParser, TypedValueParser};
+use clap::{Arg, ArgAction, Command as Line, CommandFactory, FromArgMatches, Parser, Subcommand};
 use kinegrad_capture::Units;
 
 pub use self::{config::*, data::*, eval::*, matching::*, reading::*, reports::*, sample::*};
@@ -108,9 +112,17 @@ impl Arguments {
     }
 }
 
-/// The command with readable errors for numbers. An option that takes a number accepts `-1`.
+/// The file name that means standard output.
+pub const STDOUT: &str = "-";
+
+/// The command with readable errors for numbers. An option that takes a number accepts `-1`. Only
+/// `init` writes to standard output.
 fn with_numbers(command: Line) -> Line {
+    let has_stdout = command.get_name() == "init";
     let command = command.mut_args(|argument| {
+        if argument.get_id() == "out" && !has_stdout {
+            return with_a_file(argument);
+        }
         if !matches!(argument.get_action(), ArgAction::Set | ArgAction::Append) {
             return argument;
         }
@@ -127,9 +139,40 @@ fn with_numbers(command: Line) -> Line {
     command.mut_subcommands(with_numbers)
 }
 
+/// An output option that refuses standard output.
+fn with_a_file(argument: Arg) -> Arg {
+    fn a_file<T: PartialEq<str>>(out: T) -> Result<T, &'static str> {
+        match out == *STDOUT {
+            true => Err("this command does not write to standard output, name a file or folder"),
+            false => Ok(out),
+        }
+    }
+    match argument.get_value_parser().type_id() == TypeId::of::<String>() {
+        true => argument.value_parser(StringValueParser::new().try_map(a_file)),
+        false => argument.value_parser(
+            PathBufValueParser::new()
+                .try_map(|out: PathBuf| a_file(out.into_os_string()).map(PathBuf::from)),
+        ),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn no_file_is_called_like_standard_output() {
+        for line in [
+            "kinegrad sample run --out -",
+            "kinegrad warp a.npy --path p.toml --out -",
+            "kinegrad data prepare p.toml --out -",
+            "kinegrad report run --out -",
+            "kinegrad man --out -",
+        ] {
+            let said = refused(line);
+            assert!(said.contains("standard output"), "{said}");
+        }
+    }
 
     fn refused(line: &str) -> String {
         let line = line.split_whitespace();

@@ -1,11 +1,12 @@
 //! Progress: a bar on a terminal, lines elsewhere.
 
+use std::fmt;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use kinegrad_report::grouped;
 use kinegrad_train::Reading;
 
@@ -22,6 +23,12 @@ pub fn duration(seconds: f64) -> String {
         (0, m, s) => format!("{m}m{s:02}s"),
         (h, m, _) => format!("{h}h{m:02}m"),
     }
+}
+
+/// Elapsed time and time left, both as [`duration`].
+pub fn times(elapsed: Duration, left: Duration) -> String {
+    let [elapsed, left] = [elapsed, left].map(|time| duration(time.as_secs_f64()));
+    format!("{elapsed}, {left} left")
 }
 
 /// A flag that Ctrl-C sets. The first Ctrl-C while `is_active` is set prints `message`; any other
@@ -51,9 +58,8 @@ pub struct Count {
 impl Count {
     /// Shows nothing yet.
     pub fn new(what: &'static str) -> Self {
-        let template = format!("{{bar:24}} {{pos}}/{{len}} {what}  {{elapsed}}<{{eta}}");
         Self {
-            bar: bar(&template),
+            bar: bar(&format!("{{bar:24}} {{pos}}/{{len}} {what}  {{times}}")),
             what,
             printed: Mutex::new(Instant::now()),
         }
@@ -93,7 +99,7 @@ pub struct Denoising(ProgressBar);
 impl Denoising {
     /// Shows nothing yet; `run` is printed before the bar.
     pub fn of(run: &str) -> Self {
-        let template = "{prefix}{msg}{bar:24} {pos}/{len} denoising steps  {elapsed}<{eta}";
+        let template = "{prefix}{msg}{bar:24} {pos}/{len} denoising steps  {times}";
         Self(bar(template).with_prefix(spaced(run)))
     }
 
@@ -116,12 +122,30 @@ fn spaced(word: &str) -> String {
     format!("{word}{end}")
 }
 
-/// A bar on standard error, hidden if standard error is not a terminal.
+/// A bar on standard error, hidden if standard error is not a terminal. `{times}` in the template
+/// are elapsed time and time left.
 pub fn bar(template: &str) -> ProgressBar {
     let style = ProgressStyle::with_template(template).expect("a valid template");
+    let style = style.with_key(
+        "times",
+        |state: &ProgressState, text: &mut dyn fmt::Write| {
+            let _ = text.write_str(&times(state.elapsed(), state.eta()));
+        },
+    );
     let target = match output::is_quiet() {
         true => ProgressDrawTarget::hidden(),
         false => ProgressDrawTarget::stderr(),
     };
     ProgressBar::with_draw_target(None, target).with_style(style)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_times_have_one_unit_style() {
+        let [elapsed, left] = [100.0, 88.0].map(Duration::from_secs_f64);
+        assert_eq!(times(elapsed, left), "1m40s, 1m28s left");
+    }
 }

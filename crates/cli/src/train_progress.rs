@@ -3,12 +3,13 @@
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use indicatif::ProgressBar;
+use kinegrad_settings::counted;
 use kinegrad_train::{Error, Observer, Preview, Reading, RunSummary, StepReport, Systems};
 
-use crate::progress::{bar, duration, reading, stop_on_ctrl_c};
+use crate::progress::{bar, reading, stop_on_ctrl_c, times};
 use crate::{output, preview};
 
 /// Weight of the old value in the smoothed loss.
@@ -69,15 +70,18 @@ impl Observer for TrainProgress<'_> {
     fn started(&mut self, summary: &RunSummary) {
         self.trains.store(true, Ordering::SeqCst);
         tell!(
-            "run {}: {} on {}, {} phrases to train on, {} held out",
+            "run {}: {} on {}, {} to train on, {} held out",
             summary.name,
             output::parameters(&summary.parameters),
             summary.device,
-            summary.train_phrases,
+            counted(summary.train_phrases, "item"),
             summary.validation_phrases,
         );
         if !summary.skipped.is_empty() {
-            tell!("warning: {} bad phrases skipped:", summary.skipped.len());
+            tell!(
+                "warning: {} skipped:",
+                counted(summary.skipped.len(), "bad item")
+            );
             for (id, reason) in &summary.skipped {
                 tell!("  {id}: {reason}");
             }
@@ -91,7 +95,7 @@ impl Observer for TrainProgress<'_> {
         self.started = Instant::now();
         (self.smoothed, self.steps_here) = (None, 0);
         self.finish();
-        let template = "{bar:24} {pos}/{len} steps  {msg}  {elapsed}<{eta}";
+        let template = "{bar:24} {pos}/{len} steps  {msg}  {times}";
         self.bar = bar(template).with_position(summary.step);
         self.bar.set_length(summary.max_steps);
         self.bar.reset_eta();
@@ -114,8 +118,11 @@ impl Observer for TrainProgress<'_> {
             self.bar.set_position(step);
             self.bar.set_message(message);
         } else if step.is_multiple_of(every) || step == max {
-            let left = duration((max - step) as f64 / speed);
-            tell!("step {step}/{max}  {message}  ETA {left}");
+            let left = Duration::from_secs_f64((max - step) as f64 / speed);
+            tell!(
+                "step {step}/{max}  {message}  {}",
+                times(self.started.elapsed(), left)
+            );
         }
     }
 
@@ -130,7 +137,7 @@ impl Observer for TrainProgress<'_> {
 
     fn preview(&mut self, checkpoint: &Path, step: u64) -> Result<Vec<Preview>, Error> {
         let previews = preview::write(self.systems, checkpoint, step)?;
-        self.line(&format!("sampled {} previews", previews.len()));
+        self.line(&format!("sampled {}", counted(previews.len(), "preview")));
         Ok(previews)
     }
 

@@ -16,7 +16,7 @@ pub struct InitArguments {
     /// Config, plan or goal to write: a name that `--list` prints
     #[arg(value_name = "NAME")]
     pub name: Option<String>,
-    /// File to write [default: kinegrad.toml, or NAME.toml]
+    /// File to write, `-` for standard output [default: kinegrad.toml, or NAME.toml]
     #[arg(long, value_name = "FILE.toml")]
     pub out: Option<PathBuf>,
     /// List the names

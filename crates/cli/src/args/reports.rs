@@ -45,6 +45,9 @@ pub struct ReportArguments {
     pub out: Option<PathBuf>,
 }
 
+/// The folder that training creates.
+pub const RUNS: &str = "runs";
+
 /// Arguments of `kinegrad runs`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -53,7 +56,7 @@ Examples:
   kinegrad runs experiments --json")]
 pub struct RunsArguments {
     /// Folder that contains the runs
-    #[arg(value_name = "DIR", default_value = "runs")]
+    #[arg(value_name = "DIR", default_value = RUNS)]
     pub folder: PathBuf,
     /// Print JSON
     #[arg(long)]

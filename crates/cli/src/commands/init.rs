@@ -8,7 +8,7 @@ use std::process::ExitCode;
 use kinegrad_train::Error;
 
 use super::nearest;
-use crate::args::{DEFAULT_CONFIG, InitArguments};
+use crate::args::{DEFAULT_CONFIG, InitArguments, STDOUT};
 use crate::folder;
 
 /// The default template.
@@ -115,11 +115,15 @@ pub fn run(arguments: InitArguments) -> Result<ExitCode, Error> {
     }
     let name = arguments.name.as_deref();
     let template = find(name.unwrap_or(FIRST))?;
-    let file = match (arguments.out, name) {
-        (Some(out), _) => out,
-        (None, Some(name)) => PathBuf::from(format!("{name}.toml")),
-        (None, None) => PathBuf::from(DEFAULT_CONFIG),
+    let usual = match name {
+        Some(name) => PathBuf::from(format!("{name}.toml")),
+        None => PathBuf::from(DEFAULT_CONFIG),
     };
+    if arguments.out.as_deref() == Some(Path::new(STDOUT)) {
+        say!("{}", template.contents(&usual).trim_end());
+        return Ok(ExitCode::SUCCESS);
+    }
+    let file = arguments.out.unwrap_or(usual);
     write_new(&file, &template.contents(&file))?;
     say!("{}", file.display());
     tell!("next: `{}`", template.command(&file));

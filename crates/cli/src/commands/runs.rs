@@ -9,7 +9,7 @@ use kinegrad_train::memory::size;
 use kinegrad_train::{Error, Systems};
 use serde_json::{Value, json};
 
-use crate::args::RunsArguments;
+use crate::args::{RUNS, RunsArguments};
 use crate::output;
 use crate::progress::duration;
 use crate::runs::{Run, find, folder_name};
@@ -28,9 +28,10 @@ const HEADER: [&str; 7] = [
 /// Lists the runs in a folder.
 pub fn run(systems: Systems<'_>, arguments: RunsArguments) -> Result<ExitCode, Error> {
     let RunsArguments { folder, json } = arguments;
-    if !folder.is_dir() {
+    // Before the first training there is no folder `runs`.
+    if !folder.is_dir() && folder != Path::new(RUNS) {
         let message = format!("there is no folder {}", folder.display());
-        let hint = "`kinegrad train` makes `runs`; give the folder that contains yours";
+        let hint = "give the folder that contains the runs; without one, `kinegrad runs` lists those in `runs`";
         return Err(Error::usage(message, hint));
     }
     let found = find(&folder);
@@ -67,7 +68,10 @@ fn row(run: &Run, folder: &Path) -> [String; 7] {
     let recipe = run.system.zip(run.recipe());
     let recipe = recipe.map(|(system, recipe)| format!("{system}/{recipe}"));
     let best = run.best.as_ref();
-    let best = best.map(|best| format!("{:.5} at {}", best.val_loss, best.step));
+    let best = best.map(|best| match best.step {
+        0 => format!("{:.5} at the start", best.val_loss),
+        step => format!("{:.5} at {step}", best.val_loss),
+    });
     let age = run.modified.and_then(|time| time.elapsed().ok());
     let or_missing = |text: Option<String>| text.unwrap_or("-".to_string());
     [

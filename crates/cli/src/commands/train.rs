@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use kinegrad_report::facts;
+use kinegrad_settings::counted;
 use kinegrad_train::checkpoint::Weights;
 use kinegrad_train::run::{self, Outcome, SAMPLES, TrainRequest, UNFINISHED_SAMPLES, remove};
 use kinegrad_train::sampling::{self, Request};
@@ -85,7 +86,8 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
         let (count, step, remark) = write_final_samples(systems, &outcome)?;
         if !json {
             let folder = outcome.folder.join(SAMPLES);
-            say!("\n{count} samples of step {step} in {}", folder.display());
+            let samples = counted(count, "sample");
+            say!("\n{samples} of step {step} in {}", folder.display());
             say_summary(remark);
         }
         summary(count);
@@ -161,7 +163,11 @@ fn summarise(outcome: &Outcome, seconds: f64) {
     };
     let (progress, time) = (&outcome.progress, duration(seconds));
     let best = progress.best_step.zip(progress.best_val_loss);
-    let best = best.map(|(step, loss)| ("best val_loss", format!("{loss:.5} at step {step}")));
+    let best = best.map(|(step, loss)| match step {
+        0 => format!("{loss:.5} before training: no step was better, so the start is kept"),
+        _ => format!("{loss:.5} at step {step}"),
+    });
+    let best = best.map(|best| ("best val_loss", best));
     let rows = [
         Some(("run", outcome.folder.display().to_string())),
         Some(("ended", ending)),

@@ -5,6 +5,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use kinegrad_report::grouped;
 use kinegrad_report::page::{Cell, Table, Tone};
+use kinegrad_settings::{counted, plural};
 use kinegrad_train::checkpoint::Checkpoints;
 use kinegrad_train::memory::size;
 use kinegrad_train::run::{PREVIEWS, SAMPLES};
@@ -24,7 +25,7 @@ fn fact(name: &str, value: impl Into<String>) -> Fact {
 pub fn highlights(run: &Run, records: &[Record], last: Option<&Environment>) -> Vec<Fact> {
     let mut facts = vec![fact("steps", run.steps(|step| grouped(step as usize)))];
     if let Some(best) = &run.best {
-        let value = format!("{:.4} at {}", best.val_loss, grouped(best.step as usize));
+        let value = format!("{:.4} {}", best.val_loss, best_step(best.step));
         facts.push(fact("best validation loss", value));
     } else if let Some(loss) = records.iter().rev().find_map(|r| r.get("loss")) {
         facts.push(fact("last training loss", format!("{loss:.5}")));
@@ -46,6 +47,14 @@ pub fn highlights(run: &Run, records: &[Record], last: Option<&Environment>) -> 
     }
     facts.push(fact("size on disk", size(run.bytes)));
     facts
+}
+
+/// The moment of the best validation.
+fn best_step(step: u64) -> String {
+    match step {
+        0 => "before training, no step was better".to_string(),
+        _ => format!("at {}", grouped(step as usize)),
+    }
 }
 
 /// Machine and versions of the last start, or of the newest checkpoint.
@@ -123,8 +132,13 @@ pub fn data(run: &Run, last: Option<&Environment>) -> Vec<Fact> {
     if let Some((_, state)) = &run.newest {
         let sha256 = state.dataset_sha256.clone();
         facts.extend(sha256.map(|sha256| fact("SHA-256", sha256)));
-        let [items, frames] = [state.statistics.items, state.statistics.frames].map(grouped);
-        let statistics = format!("of {items} items with {frames} frames");
+        let counts = [
+            (state.statistics.items, "item"),
+            (state.statistics.frames, "frame"),
+        ];
+        let [items, frames] =
+            counts.map(|(count, noun)| format!("{} {}", grouped(count), plural(count, noun)));
+        let statistics = format!("of {items} with {frames}");
         facts.push(fact("statistics", statistics));
     }
     facts
@@ -170,7 +184,10 @@ pub fn files(run: &Run) -> Vec<Fact> {
     for (name, folder) in [("samples", SAMPLES), ("previews", PREVIEWS)] {
         let count = fs::read_dir(run.folder.join(folder)).map_or(0, Iterator::count);
         if count > 0 {
-            facts.push(fact(name, format!("{count} files in {folder}")));
+            facts.push(fact(
+                name,
+                format!("{} in {folder}", counted(count, "file")),
+            ));
         }
     }
     facts
