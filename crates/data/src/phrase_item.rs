@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use kinegrad_motion::{CHANNELS, FPS, Phrase, channel_name};
+use kinegrad_settings::counted;
 
 use crate::audio_layout::AudioLayout;
 use crate::features::{AudioFeatures, audio_channel_name};
@@ -46,8 +47,9 @@ impl PhraseItem {
         let frames = motion_frames.min(audio_frames);
         let note = (motion_frames.abs_diff(audio_frames) > 1).then(|| {
             format!(
-                "motion has {motion_frames} frames, audio {audio_frames}: the first {frames} \
+                "motion has {}, audio {audio_frames}: the first {frames} \
                  ({:.2} s) are used",
+                counted(motion_frames, "frame"),
                 frames as f64 / FPS
             )
         });

@@ -163,7 +163,7 @@ pub(super) fn check_width(
                 }
                 None => usual.to_owned(),
             };
-            let found = format!("{found} channels");
+            let found = counted(found, "channel");
             Err(FileError::unexpected(file, found, expected, hint))
         }
         _ => Err(FileError::unexpected(
@@ -265,7 +265,7 @@ impl ItemSource<Clip> for ClipFiles {
         };
         if let Some(reason) = reason {
             return Ok(ReadItem {
-                left_out: Some(format!("{reason}: {frames} frames")),
+                left_out: Some(format!("{reason}: {}", counted(frames, "frame"))),
                 ..ReadItem::of(clip)
             });
         }

@@ -1,6 +1,6 @@
 //! Errors about skeletons, features and their statistics.
 
-use kinegrad_settings::InvalidSetting;
+use kinegrad_settings::{InvalidSetting, counted};
 use miette::Diagnostic;
 use thiserror::Error;
 
@@ -34,7 +34,7 @@ pub enum FeatureError {
     },
 
     /// No skeleton has this number of channels.
-    #[error("{found} channels are not the features of any skeleton")]
+    #[error("no skeleton has features of {}", counted(*found, "channel"))]
     #[diagnostic(help(
         "a skeleton of J joints has 12 J - 1 channels: 263 for 22 joints (HumanML3D), 251 for 21 \
          joints (KIT)"
@@ -57,7 +57,7 @@ pub enum FeatureError {
     },
 
     /// A clip has too few frames.
-    #[error("the clip has {found} frames where at least {needed} are needed")]
+    #[error("the clip has {} where at least {needed} are needed", counted(*found, "frame"))]
     #[diagnostic(help("every feature row is taken from a frame and the next"))]
     TooFewFrames {
         /// Frames found.

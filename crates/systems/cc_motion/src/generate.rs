@@ -8,6 +8,7 @@ use kinegrad_kernels::batch_invariant;
 use kinegrad_motion::Phrase;
 use kinegrad_motion::phrase::CHANNELS;
 use kinegrad_random::{Key, Purpose};
+use kinegrad_settings::counted;
 use kinegrad_train::config::SamplingConfig;
 use kinegrad_train::sampling::Needs;
 use kinegrad_train::{Error, TrainedModel, memory};
@@ -34,7 +35,11 @@ pub(super) fn needs(
     };
     let networks = footprint(trained.config(), frames)?;
     Ok(Needs {
-        work: format!("sampling {batch} phrases of {frames} frames"),
+        work: format!(
+            "sampling {} of {}",
+            counted(batch, "phrase"),
+            counted(frames, "frame")
+        ),
         bytes: networks.of_sampling(batch, false, trained.on_host),
         hint,
     })

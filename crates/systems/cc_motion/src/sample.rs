@@ -10,6 +10,7 @@ use kinegrad_motion::path::PathPlan;
 use kinegrad_motion::postprocess::PostProcessConfig;
 use kinegrad_motion::stitch::Windows;
 use kinegrad_motion::{OrientationEncoding, Phrase, Profile, Report, Statistics, check};
+use kinegrad_settings::counted;
 use kinegrad_train::clips::path_target::read_path;
 use kinegrad_train::config::Config;
 use kinegrad_train::sampling::{
@@ -374,8 +375,9 @@ fn audio(
         let found = audio.features.frames();
         if frames == 0 || frames > found {
             let message = format!(
-                "option `frames` is {frames}, the condition `{}` has {found} frames",
-                audio.name
+                "option `frames` is {frames}, the condition `{}` has {}",
+                audio.name,
+                counted(found, "frame")
             );
             return Err(Error::usage(message, "ask for 1 up to that many"));
         }

@@ -4,6 +4,7 @@ use std::iter::repeat_n;
 
 use kinegrad_motion::goal::{Goal, Trajectory};
 use kinegrad_motion::humanml::Skeleton;
+use kinegrad_settings::counted;
 use kinegrad_train::checkpoint::SavedCheckpoint;
 use kinegrad_train::clips::captions::{ClipText, must_know_texts, text_of};
 use kinegrad_train::clips::path_target::{Fastest, FollowedPath};
@@ -285,7 +286,11 @@ impl Sampler for Clips<'_> {
         let clips = self.jobs.len().saturating_mul(self.request.count);
         let networks = footprint(trained.config(), sampled_frames(trained.config(), frames))?;
         Ok(vec![Needs {
-            work: format!("sampling {clips} clips of {frames} frames"),
+            work: format!(
+                "sampling {} of {}",
+                counted(clips, "clip"),
+                counted(frames, "frame")
+            ),
             bytes: networks.of_sampling(clips, self.steered(), trained.on_host),
             hint: match self.request.held_out_items() {
                 Some(_) => HELD_OUT_HINT,

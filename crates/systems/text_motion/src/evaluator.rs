@@ -6,6 +6,7 @@ use kinegrad_models::Initializer;
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::{FeatureError, FeatureLayout, Features, Root};
 use kinegrad_motion::metrics::text_motion::{MAX_WORDS, Token, WordVectors};
+use kinegrad_settings::counted;
 use kinegrad_train::Error;
 use kinegrad_train::checkpoint::{SavedCheckpoint, Weights};
 use kinegrad_train::clips::evaluator::{EvaluatorFiles, TextMotionEvaluator};
@@ -126,7 +127,8 @@ impl TextMotionEvaluator for TextMotion {
             let found = features.frames();
             if found < UNIT_FRAMES {
                 let message = format!(
-                    "clip {clip} (counted from 0) has {found} frames, at least {UNIT_FRAMES} needed"
+                    "clip {clip} (counted from 0) has {}, at least {UNIT_FRAMES} needed",
+                    counted(found, "frame")
                 );
                 let hint = "leave out such clips; the published evaluation uses 40 frames or more";
                 return Err(Error::usage(message, hint));

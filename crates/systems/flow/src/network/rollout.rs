@@ -10,7 +10,7 @@ use kinegrad_motion::humanml::{
     FeatureError, FeatureStream, Joints, NextPose, Skeleton, TEXT_CHANNELS,
 };
 use kinegrad_random::Key;
-use kinegrad_settings::{Refused, in_range};
+use kinegrad_settings::{Refused, counted, in_range};
 use kinegrad_train::Error;
 
 use super::{FlowCondition, FlowModel, History, previous_state};
@@ -100,8 +100,10 @@ impl FlowRollout {
         if found < needed {
             let hint = "every row of features is taken from a frame and the next, and the last frame \
                         is the one that the motion continues from";
-            let message =
-                format!("the history has {found} frames where at least {needed} are needed");
+            let message = format!(
+                "the history has {} where at least {needed} are needed",
+                counted(found, "frame")
+            );
             return Err(Error::usage(message, hint));
         }
         let stream = FeatureStream::new(skeleton.clone(), settings.contact_threshold)?;
