@@ -22,7 +22,7 @@ use crate::prepare::output::Output;
 use crate::{Bvh, C3d, Error};
 
 /// Version of the algorithm. A new version makes all takes again.
-const MAKER: &str = "kinegrad clips 2";
+const MAKER: &str = "kinegrad clips 3";
 
 /// Name of the map of captures of markers.
 const MARKERS: &str = "markers";

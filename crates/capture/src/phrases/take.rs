@@ -19,7 +19,7 @@ use crate::prepare::files::bytes;
 use crate::{Beats, Stretch, stretches};
 
 /// Version of the algorithm. A new version makes all takes again.
-const MAKER: &str = "kinegrad phrases 5";
+const MAKER: &str = "kinegrad phrases 6";
 
 /// A phrase with the contents of its motion file and its audio feature file.
 pub(super) struct NewPhrase {
