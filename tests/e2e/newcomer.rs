@@ -14,6 +14,7 @@ fn init_and_train_work_in_an_empty_folder() {
     let sandbox = sandbox();
     let written = sandbox.run("init").succeeded();
     assert_eq!(written.stdout, "kinegrad.toml\n");
+    let config = fs::read_to_string(sandbox.path("kinegrad.toml")).expect("a file");
     assert!(
         written.stderr.contains("kinegrad train"),
         "{}",
@@ -32,17 +33,9 @@ fn init_and_train_work_in_an_empty_folder() {
         b"mine"
     );
     let printed = sandbox.run("init --out -").succeeded().stdout;
+    assert_eq!(printed, config);
     assert!(!sandbox.path("-").exists());
-    assert!(
-        printed.starts_with("# Written by `kinegrad init quickstart`"),
-        "{printed}"
-    );
     sandbox.run("init --out other.toml").succeeded();
-    let other = fs::read_to_string(sandbox.path("other.toml")).expect("a file");
-    assert_eq!(
-        printed.lines().skip(1).collect::<Vec<_>>(),
-        other.lines().skip(1).collect::<Vec<_>>()
-    );
     assert!(sandbox.path("other.toml").exists());
 }
 

@@ -131,7 +131,7 @@ fn a_walk_follows_paths_of_every_kind() {
     }
     sandbox.write("crab.bvh", "HIERARCHY\nROOT Claw\n{ OFFSET 0 0 0\nCHANNELS 1 Xposition\n}\nMOTION\nFrames: 2\nFrame Time: 0.1\n0\n1\n");
     sandbox
-        .run("warp crab.bvh --path line.toml --out crab")
+        .run("warp crab.bvh --path line.toml --out claw")
         .failed(
             2,
             &[
