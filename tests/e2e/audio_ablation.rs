@@ -223,10 +223,7 @@ fn the_same_seed_measures_the_same() {
         sandbox.list(reports),
         [format!("{stem}.csv"), format!("{stem}.json")]
     );
-    assert_eq!(
-        read(&sandbox, &format!("{reports}/{stem}.json")),
-        first
-    );
+    assert_eq!(read(&sandbox, &format!("{reports}/{stem}.json")), first);
     let other = sandbox.run(&format!("{line} --seed 1")).succeeded().stdout;
     assert_ne!(other, first);
     // The loss does not depend on the seed, the shuffled order does.

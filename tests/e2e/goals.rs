@@ -238,9 +238,8 @@ fn runs_are_measured_on_goals_of_held_out_clips() {
         .run("eval runs/gmd_motion --set evaluation.goals=2 --set evaluation.keyframes=3")
         .succeeded();
     let stems = ["eval-goals-two-stage", "eval-goals"];
-    let files = ["csv", "json"].map(|ending| {
-        stems.map(|stem| format!("{stem}-{settings}.{ending}"))
-    });
+    let files =
+        ["csv", "json"].map(|ending| stems.map(|stem| format!("{stem}-{settings}.{ending}")));
     let mut files = files.concat();
     files.sort();
     assert_eq!(sandbox.list("runs/gmd_motion/reports"), files);

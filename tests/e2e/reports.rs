@@ -129,9 +129,14 @@ fn a_page_shows_an_audio_ablation() {
         .succeeded();
     let page = page(&sandbox, "runs/smallest", "runs/smallest/report.html");
     let table = page.split("<h2>Evaluation</h2>").nth(1).expect("reports");
-    let table = table.split("every measure").next().expect("the main measures");
+    let table = table
+        .split("every measure")
+        .next()
+        .expect("the main measures");
     for name in ["loss", "beat_phase_error", "own_minus.loss"] {
-        let rows = table.lines().filter(|line| line.contains(&format!(">{name}</td>")));
+        let rows = table
+            .lines()
+            .filter(|line| line.contains(&format!(">{name}</td>")));
         let rows: Vec<&str> = rows.collect();
         assert!(!rows.is_empty(), "{name}");
         let has_interval = |row: &&str| row.contains(" to ");

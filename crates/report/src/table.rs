@@ -5,7 +5,7 @@ use tabled::settings::object::Columns;
 use tabled::settings::{Alignment, Padding, Style, Width};
 
 /// Narrowest column of names that text is wrapped to.
-const NARROWEST: usize = 12;
+const NARROWEST: usize = 16;
 
 /// A plain table with a header as the first row; columns after the first are right-aligned.
 pub fn rows<R>(rows: impl IntoIterator<Item = R>) -> String
@@ -16,15 +16,22 @@ where
     plain(rows, None)
 }
 
-/// [`rows`] of one length, in at most `width` characters: columns that do not fit follow below as
-/// further tables, each with the first column, whose text is wrapped if need be.
+/// [`rows`] of one length, in at most `width` characters: text of the first column is wrapped. If
+/// that is not enough, columns that do not fit follow below as further tables, each with the first
+/// column.
 pub fn rows_within(all: Vec<Vec<String>>, width: Option<usize>) -> String {
     let table = rows(&all);
     let Some(width) = width.filter(|width| *width < widest(&table)) else {
         return table;
     };
     let count = all.first().map_or(0, Vec::len);
-    let fits = |columns: &[usize]| widest(&rows(part(&all, columns))) <= width;
+    let names = all.iter().map(|row| row[0].chars().count()).max();
+    // Width of the first column in a table of some columns.
+    let names = |columns: &[usize]| {
+        let excess = widest(&rows(part(&all, columns))).saturating_sub(width);
+        names.unwrap_or(0).saturating_sub(excess)
+    };
+    let fits = |columns: &[usize]| names(columns) >= NARROWEST;
     let mut parts: Vec<Vec<usize>> = Vec::new();
     for column in 1..count {
         match parts.last_mut() {
@@ -33,14 +40,8 @@ pub fn rows_within(all: Vec<Vec<String>>, width: Option<usize>) -> String {
         }
     }
     let tables = parts.iter().map(|columns| {
-        let table = rows(part(&all, columns));
-        let excess = widest(&table).saturating_sub(width);
-        if excess == 0 {
-            return table;
-        }
-        let names = all.iter().map(|row| row[0].chars().count()).max();
-        let names = names.unwrap_or(0).saturating_sub(excess);
-        plain(part(&all, columns), Some(names.max(NARROWEST)))
+        let names = names(columns).max(NARROWEST);
+        plain(part(&all, columns), Some(names))
     });
     tables.collect::<Vec<_>>().join("\n\n")
 }
@@ -134,10 +135,10 @@ mod tests {
         let whole = rows_within(rows.clone(), None);
         assert_eq!(whole, super::rows(&rows));
         assert_eq!(rows_within(rows.clone(), Some(200)), whole);
-        for width in [44, 60, 70] {
+        for (width, tables) in [(48, 2), (60, 1), (70, 1)] {
             let found = rows_within(rows.clone(), Some(width));
             assert!(widest(&found) <= width, "{width}:\n{found}");
-            assert!(found.matches("diversity").count() > 1, "{found}");
+            assert_eq!(found.matches("diversity").count(), tables, "{found}");
             for text in ["80.123 (1.000 to 90.000)", "7.100", "5.2"] {
                 assert_eq!(found.matches(text).count(), 1, "{found}");
             }

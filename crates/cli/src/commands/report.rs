@@ -205,7 +205,9 @@ fn verdicts(report: &str) -> impl Iterator<Item = String> {
     evaluations.flat_map(|each| {
         let run = each["run"].as_str().unwrap_or_default().to_owned();
         let said = each["verdict"].as_array().cloned().unwrap_or_default();
-        let said = said.into_iter().filter_map(|said| said.as_str().map(String::from));
+        let said = said
+            .into_iter()
+            .filter_map(|said| said.as_str().map(String::from));
         said.map(move |said| format!("{run}: {said}"))
     })
 }
@@ -231,7 +233,9 @@ fn main_rows(table: &Table) -> Table {
         let cells = row.iter().enumerate().skip(1).map(|(column, mean)| {
             let ends = ends.and_then(|(low, high)| low.get(column).zip(high.get(column)));
             match ends.filter(|(low, _)| !low.text.is_empty()) {
-                Some((low, high)) => Cell::from(format!("{} ({} to {})", mean.text, low.text, high.text)),
+                Some((low, high)) => {
+                    Cell::from(format!("{} ({} to {})", mean.text, low.text, high.text))
+                }
                 None => mean.clone(),
             }
         });

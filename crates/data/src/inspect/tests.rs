@@ -90,7 +90,11 @@ fn phases_are_compared_with_the_beats_tracked_in_the_music() {
     let beats = found.beats.unwrap();
     assert!((beats.error.mean - 0.25).abs() < 0.03, "{beats}");
     let warning = "the phase of the phrases does not follow the beats tracked in their music";
-    assert!(found.warnings[0].starts_with(warning), "{:?}", found.warnings);
+    assert!(
+        found.warnings[0].starts_with(warning),
+        "{:?}",
+        found.warnings
+    );
 }
 
 #[test]

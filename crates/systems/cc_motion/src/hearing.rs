@@ -23,6 +23,9 @@ const MOST_TRACKED: usize = 256;
 /// Most held-out phrases that are sampled.
 const MOST_SAMPLED: usize = 16;
 
+/// Fewest held-out phrases with a meaningful interval.
+const FEWEST_SAMPLED: usize = 4;
+
 /// Warns if the phase of the training phrases does not follow the beats tracked in their music.
 pub(super) fn warn_of_data(
     dataset: &Dataset<PhraseItem>,
@@ -73,12 +76,15 @@ impl Hearing {
     }
 
     /// The verdict on networks on the plain `device`, if their samples do not follow the beats: from
-    /// one sample per phrase. Collective.
+    /// one sample per phrase, with at least four phrases. Collective.
     pub fn warning(
         &self,
         (unet, decoder): (UNet1d, Option<MotionDecoder>),
         device: &Device,
     ) -> Result<Option<String>, Error> {
+        if self.phrases.len() < FEWEST_SAMPLED {
+            return Ok(None);
+        }
         let (diffusion, state) = (self.diffusion.clone(), self.state.clone());
         let generator = Generator::of(unet, decoder, diffusion, state, device);
         let no_progress = &mut |_, _, _| ControlFlow::Continue(());

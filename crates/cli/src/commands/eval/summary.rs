@@ -6,27 +6,21 @@ use kinegrad_train::evaluation::{Column, Evaluated, Number, best_columns};
 /// Placeholder of a missing value.
 const MISSING: &str = "-";
 
-/// The sentences of the verdict: the best run of several, then each run's own.
+/// The sentences of the verdict: in how many measures each of several runs is best, then each run's
+/// own.
 pub fn verdict(labels: &[String], all: &[Evaluated]) -> Vec<String> {
     let best = best(all);
     let measures = best.iter().filter(|places| !places.is_empty()).count();
     let wins = |run: usize| best.iter().filter(|places| places.contains(&run)).count();
-    let most = (0..all.len()).map(wins).max().unwrap_or(0);
-    let leaders: Vec<&str> = labels
+    let mut order: Vec<usize> = (0..all.len()).collect();
+    order.sort_by_key(|&run| std::cmp::Reverse(wins(run)));
+    let each = order
         .iter()
-        .enumerate()
-        .filter(|(run, _)| wins(*run) == most)
-        .map(|(_, label)| label.as_str())
-        .collect();
+        .map(|&run| format!("{} in {}", labels[run], wins(run)));
+    let each: Vec<String> = each.collect();
     let mut lines = Vec::new();
     if all.len() > 1 {
-        lines.push(match leaders[..] {
-            [one] => format!("best: {one}, in {most} of {measures} measures"),
-            ref several => format!(
-                "none is best: {} each lead in {most} of {measures} measures",
-                several.join(", ")
-            ),
-        });
+        lines.push(format!("best of {measures} measures: {}", each.join(", ")));
     }
     for (label, each) in labels.iter().zip(all) {
         let said = each.verdict.iter();
@@ -54,9 +48,11 @@ pub fn table(labels: &[String], all: &[Evaluated], width: Option<usize>) -> Stri
     header.push("better".to_owned());
     let mut rows = vec![header];
     let best = best(all);
+    // Without the interval or the range, in brackets.
     let shown = |number: Option<&Number>| {
-        let shown = number.and_then(|number| number.line.as_ref()?.1.clone());
-        shown.unwrap_or_else(|| MISSING.to_owned())
+        let shown = number.and_then(|number| number.line.as_ref()?.1.as_deref());
+        let shown = shown.map(|shown| shown.split(" (").next().unwrap_or(shown));
+        shown.unwrap_or(MISSING).to_owned()
     };
     let first = all[0].samples.groups.first().map(|group| group.key);
     for ((group, number), best) in all[0].samples.main().zip(best) {

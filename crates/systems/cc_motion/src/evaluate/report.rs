@@ -137,7 +137,7 @@ impl Metrics for Measures {
             let both = spread.median.zip(spread.p1.zip(spread.p99));
             let shown =
                 both.map(|(median, (p1, p99))| format!("{median:.3} ({p1:.3} to {p99:.3})"));
-            let title = format!("movement: {}, {}", spread.title, spread.unit);
+            let title = format!("{}, {}", spread.title, spread.unit);
             rows.push(Number::shown(name("median"), spread.median, title, shown));
             rows.push(Number::in_files(name("p1"), spread.p1));
             rows.push(Number::in_files(name("p99"), spread.p99));
