@@ -12,6 +12,9 @@ use crate::{BeatPhrase, PhraseItem, Songs};
 /// Distance between unrelated beats, in beats.
 pub const CHANCE: f64 = 0.25;
 
+/// Fewest phrases with a meaningful interval.
+const FEWEST: usize = 4;
+
 /// Distance between two sets of beats over phrases, in beats: 0 to 0.5, by chance 0.25.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct BeatAgreement {
@@ -46,9 +49,10 @@ impl BeatAgreement {
         Self::of(distances.filter_map(|phrase| tracked_distance(phrase.clone(), songs)))
     }
 
-    /// True if the beats agree better than by chance: the interval lies below 0.25.
-    pub fn is_above_chance(&self) -> bool {
-        self.error.high < CHANCE
+    /// True if the beats of at least four phrases may agree no better than by chance: the interval
+    /// reaches 0.25.
+    pub fn is_at_chance(&self) -> bool {
+        self.phrases >= FEWEST && self.error.high >= CHANCE
     }
 }
 

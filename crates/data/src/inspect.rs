@@ -238,7 +238,7 @@ fn inspect_items<T: Listable>(
     problems.sort_by(|a, b| a.id.cmp(&b.id));
     let beats = all.as_mut().map(|all| std::mem::take(&mut all.beats));
     let beats = beats.and_then(BeatAgreement::of);
-    if let Some(beats) = beats.filter(|beats| !beats.is_above_chance()) {
+    if let Some(beats) = beats.filter(|beats| beats.is_at_chance()) {
         warnings.push(format!(
             "the phase of the phrases does not follow the beats tracked in their music: {beats}"
         ));

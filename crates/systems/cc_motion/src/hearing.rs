@@ -23,9 +23,6 @@ const MOST_TRACKED: usize = 256;
 /// Most held-out phrases that are sampled.
 const MOST_SAMPLED: usize = 16;
 
-/// Fewest held-out phrases with a meaningful interval.
-const FEWEST_SAMPLED: usize = 4;
-
 /// Warns if the phase of the training phrases does not follow the beats tracked in their music.
 pub(super) fn warn_of_data(
     dataset: &Dataset<PhraseItem>,
@@ -34,7 +31,7 @@ pub(super) fn warn_of_data(
 ) -> Result<(), Error> {
     let phrases = dataset.train.evenly(MOST_TRACKED)?;
     let agreement = BeatAgreement::with_tracked(&phrases, &Songs::read(data)?);
-    if let Some(beats) = agreement.filter(|beats| !beats.is_above_chance()) {
+    if let Some(beats) = agreement.filter(BeatAgreement::is_at_chance) {
         observer.warning(&format!(
             "the phase of the training phrases does not follow the beats tracked in their music: \
              {beats}; a model cannot learn the beat from the music"
@@ -82,9 +79,6 @@ impl Hearing {
         (unet, decoder): (UNet1d, Option<MotionDecoder>),
         device: &Device,
     ) -> Result<Option<String>, Error> {
-        if self.phrases.len() < FEWEST_SAMPLED {
-            return Ok(None);
-        }
         let (diffusion, state) = (self.diffusion.clone(), self.state.clone());
         let generator = Generator::of(unet, decoder, diffusion, state, device);
         let no_progress = &mut |_, _, _| ControlFlow::Continue(());
@@ -106,7 +100,7 @@ impl Hearing {
         })?;
         let songs = self.phrases.iter().map(|phrase| phrase.song.clone());
         let agreement = BeatAgreement::of(songs.zip(errors));
-        let unheard = agreement.filter(|agreement| !agreement.is_above_chance());
+        let unheard = agreement.filter(BeatAgreement::is_at_chance);
         Ok(unheard.map(|agreement| {
             format!(
                 "{}; beat features (`data.audio_features`), more steps or more songs help",

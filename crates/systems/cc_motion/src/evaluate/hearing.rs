@@ -11,7 +11,7 @@ pub(crate) fn hearing(error: &Estimate, tracked: Option<&BeatAgreement>) -> Stri
     if *high < CHANCE {
         return format!("the samples follow the beat: {found}");
     }
-    let of_data = tracked.filter(|tracked| !tracked.is_above_chance());
+    let of_data = tracked.filter(|tracked| tracked.is_at_chance());
     let of_data = of_data.map(|tracked| {
         format!("; the phase of the real phrases does not follow the tracked beats: {tracked}")
     });
@@ -35,7 +35,7 @@ mod tests {
             "{unheard}"
         );
         let data = |distance: f64| {
-            let songs = ["a", "b"].map(|song| (song.to_owned(), distance));
+            let songs = ["a", "a", "b", "b"].map(|song| (song.to_owned(), distance));
             BeatAgreement::of(songs)
         };
         let of_data =
