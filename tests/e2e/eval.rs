@@ -313,7 +313,9 @@ fn a_model_that_follows_the_beat_is_said_to() {
         &sandbox,
         "beats",
         "--set model.audio_conditioning=aligned --set data.audio_features=[\"ccmotion\",\"beats\"] \
-         --set model.phase_target=harmonics --set train.max_steps=300 --set data.synthetic.phrases=40",
+         --set model.phase_target=harmonics --set diffusion.prediction_type=sample \
+         --set data.synthetic.phrases=60 --set data.target_frames=40 --set optim.learning_rate=3e-3 \
+         --set train.max_steps=200 --set validation.every_steps=100 --set checkpoint.every_steps=200",
     );
     let finished = sandbox.run("eval runs/beats --steps 4").succeeded();
     let said = "beats: the samples follow the beat: beat-phase error 0.";
@@ -326,7 +328,7 @@ fn training_warns_of_a_model_that_does_not_hear_the_beat() {
     sandbox.write("c.toml", SMALLEST);
     let settings = "--set data.validation.fraction=0.5 --set data.target_frames=40";
     let finished = sandbox.run(&format!(
-        "train c.toml --set train.max_steps=4 --quiet {settings}"
+        "train c.toml --set train.max_steps=6 --quiet {settings}"
     ));
     let warning = "warning: the model does not hear the beat: beat-phase error ";
     let said = finished.succeeded().stderr;
