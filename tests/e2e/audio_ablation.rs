@@ -67,7 +67,7 @@ fn a_network_that_tracks_beats_is_measured_by_its_tracker_too() {
         "--set model.audio_conditioning=aligned --set model.beats=tracked \
          --set data.audio_features=[\"ccmotion\",\"beats\"]",
     );
-    let line = "eval runs/given runs/tracking --audio-ablation --steps 2 --out both";
+    let line = "eval runs/given runs/tracking --audio-ablation --steps 2 --out both --all";
     let finished = sandbox.run(line).succeeded();
     let title = "beat-phase error of the network's tracker, beats";
     assert!(finished.stdout.contains(title), "{}", finished.stdout);
@@ -93,7 +93,7 @@ fn ccmotion_models_depend_on_the_set_of_frames_and_aligned_ones_on_their_order()
         "ordered",
         "--set model.audio_conditioning=aligned --set data.audio_features=[\"ccmotion\",\"beats\"]",
     );
-    let line = "eval runs/set runs/ordered --audio-ablation --steps 3 --out both \
+    let line = "eval runs/set runs/ordered --audio-ablation --steps 3 --out both --all \
                 --guidance-scale 1,2.5";
     let finished = sandbox.run(line).succeeded();
     for text in [
@@ -218,14 +218,12 @@ fn the_same_seed_measures_the_same() {
     let first = sandbox.run(line).succeeded().stdout;
     assert_eq!(sandbox.run(line).succeeded().stdout, first);
     let reports = "runs/smallest/reports";
+    let stem = "eval-audio-ablation-seeds=1-num_inference_steps=2";
     assert_eq!(
         sandbox.list(reports),
-        ["eval-audio-ablation.csv", "eval-audio-ablation.json"]
+        [format!("{stem}.csv"), format!("{stem}.json")]
     );
-    assert_eq!(
-        read(&sandbox, &format!("{reports}/eval-audio-ablation.json")),
-        first
-    );
+    assert_eq!(read(&sandbox, &format!("{reports}/{stem}.json")), first);
     let other = sandbox.run(&format!("{line} --seed 1")).succeeded().stdout;
     assert_ne!(other, first);
     // The loss does not depend on the seed, the shuffled order does.
@@ -297,7 +295,10 @@ fn phrases_are_grouped_by_song_and_those_without_beats_left_out() {
         "stated: {}",
         finished.stdout
     );
-    let json = read(&sandbox, "runs/two/reports/eval-audio-ablation.json");
+    let json = read(
+        &sandbox,
+        "runs/two/reports/eval-audio-ablation-beats_per_bar=5-seeds=1-num_inference_steps=2.json",
+    );
     let found = evaluations(&json).remove(0);
     assert_eq!((&found["phrases"], &found["songs"]), (&4.into(), &2.into()));
     let measured = found["measured"].as_array().expect("phrases");
@@ -330,7 +331,8 @@ fn phrases_are_grouped_by_song_and_those_without_beats_left_out() {
         .succeeded();
     let remark = "the intervals do not cover other songs";
     assert!(finished.stdout.contains(remark), "{}", finished.stdout);
-    let found = evaluations(&read(&sandbox, "runs/one/reports/eval-audio-ablation.json")).remove(0);
+    let report = "runs/one/reports/eval-audio-ablation-seeds=1-num_inference_steps=2.json";
+    let found = evaluations(&read(&sandbox, report)).remove(0);
     mean(&condition(&found, "other_song")["loss"]);
 
     // No beats to compare with.

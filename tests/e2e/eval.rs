@@ -83,22 +83,23 @@ fn assert_consistent(csv: &str, label: &str, evaluation: &Value, real: bool) {
 #[test]
 fn a_run_is_measured_beside_the_real_phrases() {
     let sandbox = trained();
-    let finished = sandbox.run("eval runs/smallest --steps 4").succeeded();
+    let line = "eval runs/smallest --steps 4 --all";
+    let finished = sandbox.run(line).succeeded();
     for text in [
         "smallest",
         "real",
         "diversity",
         "Fréchet",
         "strict: jerk",
-        "movement: mean jerk of the path",
+        "mean jerk of the path",
     ] {
         assert!(finished.stdout.contains(text), "{}", finished.stdout);
     }
-    assert!(finished.stdout.contains("eval.json"), "{}", finished.stdout);
     let reports = "runs/smallest/reports";
-    assert_eq!(sandbox.list(reports), ["eval.csv", "eval.json"]);
+    let report = format!("{reports}/eval-num_inference_steps=4");
+    assert!(finished.stdout.contains(&report), "{}", finished.stdout);
 
-    let json = read(&sandbox, &format!("{reports}/eval.json"));
+    let json = read(&sandbox, &format!("{report}.json"));
     let evaluations = evaluations(&json);
     assert_eq!(evaluations.len(), 1);
     let evaluation = &evaluations[0];
@@ -136,7 +137,7 @@ fn a_run_is_measured_beside_the_real_phrases() {
         assert_eq!(check["pass_rate"], expected, "{check}");
     }
 
-    let csv = read(&sandbox, &format!("{reports}/eval.csv"));
+    let csv = read(&sandbox, &format!("{report}.csv"));
     assert_consistent(&csv, "smallest", evaluation, false);
     assert_consistent(&csv, "real", evaluation, true);
 
@@ -194,7 +195,17 @@ fn runs_stand_side_by_side() {
              --set evaluation.phrases=3 --out both",
         )
         .succeeded();
-    let header = finished.stdout.lines().next().expect("a header");
+    let said = &finished.stdout;
+    let best = said.lines().next().expect("a verdict");
+    assert!(best.starts_with("best of "), "{best}");
+    assert!(
+        ["smallest in ", "other in "]
+            .iter()
+            .all(|run| best.contains(run)),
+        "{best}"
+    );
+    let header = said.lines().find(|line| line.contains('|'));
+    let header = header.expect("a header");
     let places = ["smallest", "other", "real"].map(|name| header.find(name).expect(name));
     assert!(places.is_sorted(), "{header}");
     let csv = read(&sandbox, "both/eval.csv");
@@ -216,14 +227,14 @@ fn runs_stand_side_by_side() {
     let finished = sandbox.run(&format!(
         "eval runs/other {step} {step} --steps 1 --set evaluation.phrases=1"
     ));
-    let header = finished.succeeded().stdout;
-    assert!(
-        header.lines().next().expect("a header").contains(&step),
-        "{header}"
-    );
+    let said = finished.succeeded().stdout;
+    let header = said.lines().find(|line| line.contains('|'));
+    assert!(header.expect("a header").contains(&step), "{said}");
+    let name = step.rsplit('/').next().expect("a name");
+    let stem = format!("eval-checkpoint={name}-phrases=1-num_inference_steps=1");
     assert_eq!(
         sandbox.list("runs/smallest/reports"),
-        ["eval.csv", "eval.json"]
+        [format!("{stem}.csv"), format!("{stem}.json")]
     );
 }
 
@@ -245,8 +256,119 @@ fn noise_in_place_of_music_is_another_report() {
     assert_eq!(music["real"], noise["real"]);
     assert_eq!(
         sandbox.list("runs/smallest/reports"),
-        ["eval-noise.csv", "eval-noise.json", "eval.csv", "eval.json"]
+        [
+            "eval-noise-num_inference_steps=3.csv",
+            "eval-noise-num_inference_steps=3.json",
+            "eval-num_inference_steps=3.csv",
+            "eval-num_inference_steps=3.json",
+        ]
     );
+}
+
+#[test]
+fn the_verdict_comes_first_and_the_main_measures_have_directions() {
+    let sandbox = trained();
+    let finished = sandbox.run("eval runs/smallest --steps 2").succeeded();
+    let lines: Vec<&str> = finished.stdout.lines().collect();
+    assert!(lines.len() <= 14, "{}", finished.stdout);
+    for (line, start) in lines.iter().zip([
+        "smallest: ",
+        "smallest: the model does not hear the beat: beat-phase error ",
+        "smallest: furthest from real motion: ",
+    ]) {
+        assert!(line.starts_with(start), "{}", finished.stdout);
+    }
+    assert!(lines[0].contains("are within the limits of `strict` (real: "));
+    let row = |start: &str| {
+        let row = lines
+            .iter()
+            .find(|line| line.trim_start().starts_with(start));
+        let row = row.unwrap_or_else(|| panic!("no {start}: {}", finished.stdout));
+        row.split('|').map(str::trim).collect::<Vec<_>>()
+    };
+    assert_eq!(row("|")[1..], ["smallest", "real", "better"]);
+    assert_eq!(row("strict: all")[3], "higher");
+    assert_eq!(row("raw: strict: all")[3], "higher");
+    assert_eq!(row("beat-phase error, beats")[3], "lower");
+    assert!(row("beat-phase error, beats")[2].starts_with("0.000"));
+    assert_eq!(row("diversity")[3], "near real");
+    let json = read(
+        &sandbox,
+        "runs/smallest/reports/eval-num_inference_steps=2.json",
+    );
+    let verdict = &evaluations(&json)[0]["verdict"];
+    assert_eq!(
+        format!("smallest: {}", verdict[0].as_str().expect("text")),
+        lines[0]
+    );
+    // A condition of noise is not heard on purpose.
+    let noise = sandbox.run("eval runs/smallest --steps 2 --set evaluation.cond=noise");
+    assert!(!noise.succeeded().stdout.contains("hear"));
+}
+
+#[test]
+fn a_model_that_follows_the_beat_is_said_to() {
+    let sandbox = trained();
+    train(
+        &sandbox,
+        "beats",
+        "--set model.audio_conditioning=aligned --set data.audio_features=[\"ccmotion\",\"beats\"] \
+         --set model.phase_target=harmonics --set diffusion.prediction_type=sample \
+         --set data.synthetic.phrases=60 --set data.target_frames=40 --set optim.learning_rate=3e-3 \
+         --set train.max_steps=200 --set validation.every_steps=100 --set checkpoint.every_steps=200",
+    );
+    let finished = sandbox.run("eval runs/beats --steps 4").succeeded();
+    let said = "beats: the samples follow the beat: beat-phase error 0.";
+    assert!(finished.stdout.contains(said), "{}", finished.stdout);
+}
+
+#[test]
+fn training_warns_of_a_model_that_does_not_hear_the_beat() {
+    let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
+    sandbox.write("c.toml", SMALLEST);
+    let settings = "--set data.validation.fraction=0.5 --set data.target_frames=40";
+    let finished = sandbox.run(&format!(
+        "train c.toml --set train.max_steps=6 --quiet {settings}"
+    ));
+    let warning = "warning: the model does not hear the beat: beat-phase error ";
+    let said = finished.succeeded().stderr;
+    assert!(said.contains(warning), "{said}");
+    let again = sandbox.run("train --resume runs/smallest --quiet");
+    assert_eq!(again.succeeded().stderr, "", "no step was done");
+}
+
+#[test]
+fn reports_of_other_settings_are_kept() {
+    let sandbox = trained();
+    let run = |line: &str| sandbox.run(&format!("eval runs/smallest --steps 1 {line}"));
+    for settings in ["", "--set evaluation.phrases=2", "--seed 3", ""] {
+        run(settings).succeeded();
+    }
+    let stems = ["", "-seed=3"].map(|end| format!("eval-num_inference_steps=1{end}"));
+    let few = "eval-phrases=2-num_inference_steps=1".to_owned();
+    let mut files: Vec<String> = [&stems[0], &stems[1], &few]
+        .into_iter()
+        .flat_map(|stem| [format!("{stem}.csv"), format!("{stem}.json")])
+        .collect();
+    files.sort();
+    assert_eq!(sandbox.list("runs/smallest/reports"), files);
+    let few = read(&sandbox, &format!("runs/smallest/reports/{few}.json"));
+    let few: Value = serde_json::from_str(&few).expect("JSON");
+    assert_eq!(few["settings"]["evaluation.phrases"], "2");
+
+    // In a folder of the user, a report has one name.
+    run("--out here").succeeded();
+    run("--out here").succeeded();
+    let other = "--out here --set evaluation.phrases=2";
+    run(other).failed(
+        2,
+        &[
+            "here/eval.json is a report of other settings",
+            "--overwrite",
+        ],
+    );
+    run(&format!("{other} --overwrite")).succeeded();
+    assert_eq!(sandbox.list("here"), ["eval.csv", "eval.json"]);
 }
 
 #[test]

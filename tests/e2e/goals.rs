@@ -226,7 +226,9 @@ fn runs_are_measured_on_goals_of_held_out_clips() {
         )
         .succeeded();
     assert!(said.stdout.contains("real"), "{}", said.stdout);
-    let report = sandbox.path("runs/gmd_motion/reports/eval-goals-two-stage.json");
+    let settings = "goals=2-keyframes=3";
+    let report = format!("runs/gmd_motion/reports/eval-goals-two-stage-{settings}.json");
+    let report = sandbox.path(report);
     let report: Value = serde_json::from_slice(&fs::read(report).expect("a report")).expect("JSON");
     let report = &report["evaluations"][0];
     assert_eq!(report["real"]["average_error"], 0.0);
@@ -236,8 +238,11 @@ fn runs_are_measured_on_goals_of_held_out_clips() {
         .run("eval runs/gmd_motion --set evaluation.goals=2 --set evaluation.keyframes=3")
         .succeeded();
     let stems = ["eval-goals-two-stage", "eval-goals"];
-    let files = stems.map(|stem| [format!("{stem}.csv"), format!("{stem}.json")]);
-    assert_eq!(sandbox.list("runs/gmd_motion/reports"), files.concat());
+    let files =
+        ["csv", "json"].map(|ending| stems.map(|stem| format!("{stem}-{settings}.{ending}")));
+    let mut files = files.concat();
+    files.sort();
+    assert_eq!(sandbox.list("runs/gmd_motion/reports"), files);
     sandbox
         .run(
             "eval runs/gmd_trajectory --set evaluation.goals=2 --set evaluation.obstacles=1 \

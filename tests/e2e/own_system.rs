@@ -438,6 +438,7 @@ impl System for Toy {
                     facts: vec![("circles", [count; 2])],
                     samples: Some(vec![Group::new("circles", "", &samples)]),
                     real: vec![Group::new("circles", "", &real)],
+                    verdict: Vec::new(),
                     remarks: Vec::new(),
                 })
             }),

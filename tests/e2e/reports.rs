@@ -59,6 +59,7 @@ fn a_page_gathers_what_a_run_holds() {
             "<h2>Samples</h2>",
             "synthetic_",
             "<h2>Evaluation</h2>",
+            "within the limits of `strict`",
             "<h2>Hardware and versions</h2>",
             &format!("<dt>kinegrad</dt><dd>{version}</dd>"),
             "<dt>Burn</dt><dd>0.22.1</dd>",
@@ -115,6 +116,33 @@ fn a_page_gathers_what_a_run_holds() {
         ],
     );
     assert!(!again.contains("bad<b>"));
+}
+
+#[test]
+fn a_page_shows_an_audio_ablation() {
+    let sandbox = sandbox();
+    sandbox
+        .run("train c.toml --set train.max_steps=4")
+        .succeeded();
+    sandbox
+        .run("eval runs/smallest --audio-ablation --steps 2 --set evaluation.seeds=1")
+        .succeeded();
+    let page = page(&sandbox, "runs/smallest", "runs/smallest/report.html");
+    let table = page.split("<h2>Evaluation</h2>").nth(1).expect("reports");
+    let table = table
+        .split("every measure")
+        .next()
+        .expect("the main measures");
+    for name in ["loss", "beat_phase_error", "own_minus.loss"] {
+        let rows = table
+            .lines()
+            .filter(|line| line.contains(&format!(">{name}</td>")));
+        let rows: Vec<&str> = rows.collect();
+        assert!(!rows.is_empty(), "{name}");
+        let has_interval = |row: &&str| row.contains(" to ");
+        assert!(rows.iter().any(has_interval), "{rows:?}");
+    }
+    holds(&page, &["does not hear the beat"]);
 }
 
 #[test]

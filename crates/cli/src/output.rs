@@ -75,6 +75,12 @@ fn always(text: fmt::Arguments<'_>) {
     let _ = writeln!(io::stderr(), "{text}");
 }
 
+/// Columns of the terminal on standard output; `None` elsewhere.
+pub fn width() -> Option<usize> {
+    let size = terminal_size::terminal_size_of(io::stdout());
+    size.map(|(width, _)| usize::from(width.0))
+}
+
 /// A number of parameters, with its parts if there are several.
 pub fn parameters(count: &ParameterCount) -> String {
     let parts = count.networks.iter();

@@ -232,9 +232,13 @@ impl Error {
             _ => None,
         };
         let hint = hint.unwrap_or_else(|| {
+            let of_file = match &cause {
+                FileError::Unusable { hint, .. } if !hint.is_empty() => format!("{hint}; "),
+                _ => String::new(),
+            };
             format!(
-                "repair or remove the {kind}, or set data.on_bad_phrase = \"skip\"; `kinegrad data \
-                 inspect` lists every problem"
+                "{of_file}repair or remove the {kind}, or set data.on_bad_phrase = \"skip\"; \
+                 `kinegrad data inspect` lists every problem"
             )
         });
         Self::BadItem {

@@ -11,7 +11,7 @@ use crate::humanml::Clip;
 use crate::item::Item;
 use crate::progress::{OpenProgress, no_progress};
 use crate::scan::Listable;
-use crate::{DataConfig, Dataset, Error, PhraseItem};
+use crate::{BeatAgreement, DataConfig, Dataset, Error, PhraseItem, Songs};
 
 /// Summary of a dataset. All numbers refer to usable items.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -50,6 +50,9 @@ pub struct Inspection {
     pub motion: Vec<ChannelSummary>,
     /// Summary of each condition.
     pub conditions: Vec<ChannelSummary>,
+    /// Distance between the beats of the phase channel and the beats tracked in the music; `None`
+    /// without beats.
+    pub beats: Option<BeatAgreement>,
     /// Problems of single items, by id.
     pub problems: Vec<Problem>,
     /// Warnings about the dataset as a whole.
@@ -110,10 +113,11 @@ struct Contents {
     motion: Measured,
     conditions: Vec<(String, ChannelMoments)>,
     counts: Vec<(String, usize)>,
+    beats: Vec<(String, f64)>,
 }
 
 impl Contents {
-    fn of<T: Item>(item: &T, representation: &T::Representation) -> Self {
+    fn of<T: Item>(item: &T, representation: &T::Representation, songs: &Songs) -> Self {
         let conditions = item.conditions().into_iter();
         let counts = item.counts().into_iter();
         Self {
@@ -124,6 +128,7 @@ impl Contents {
             counts: counts
                 .map(|(name, count)| (name.to_owned(), count))
                 .collect(),
+            beats: item.tracked_beats(songs).into_iter().collect(),
         }
     }
 
@@ -135,6 +140,7 @@ impl Contents {
         for ((_, all), (_, count)) in self.counts.iter_mut().zip(other.counts) {
             *all += count;
         }
+        self.beats.extend(other.beats);
     }
 }
 
@@ -162,6 +168,7 @@ fn inspect_items<T: Listable>(
     config: &DataConfig,
     progress: OpenProgress,
 ) -> Result<Inspection, Error> {
+    let songs = Songs::read(config)?;
     let mut scan = T::scan(config)?;
     let gathered = scan.gather(config, None, progress, &Alone)?;
     let (skipped, left_out) = (gathered.skipped, gathered.left_out);
@@ -198,7 +205,7 @@ fn inspect_items<T: Listable>(
     let mut of_training = None;
     for side in [&train, &validation] {
         side.measure_among(
-            |item| Contents::of(item, &representation),
+            |item| Contents::of(item, &representation, &songs),
             |contents| match &mut all {
                 Some(all) => all.merge(contents),
                 None => all = Some(contents),
@@ -230,6 +237,13 @@ fn inspect_items<T: Listable>(
         side.measure_among(failed, take, &no_progress, &Alone)?;
     }
     problems.sort_by(|a, b| a.id.cmp(&b.id));
+    let beats = all.as_mut().map(|all| std::mem::take(&mut all.beats));
+    let beats = beats.and_then(BeatAgreement::of);
+    if let Some(beats) = beats.filter(|beats| beats.is_at_chance()) {
+        warnings.push(format!(
+            "the phase of the phrases does not follow the beats tracked in their music: {beats}"
+        ));
+    }
     let frames: usize = lengths.iter().sum();
     let moments = all.as_ref().map(|all| all.motion.moments());
     let groups = moments.map(|moments| {
@@ -259,6 +273,7 @@ fn inspect_items<T: Listable>(
             .map(|(name, moments)| ChannelSummary::of(name, moments, 0..1))
             .collect(),
         counts: all.map(|all| all.counts).unwrap_or_default(),
+        beats,
         problems,
         warnings,
     })

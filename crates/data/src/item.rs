@@ -5,6 +5,8 @@ use std::fmt::Debug;
 
 use kinegrad_motion::Representation;
 
+use crate::Songs;
+
 /// One item of a dataset: motion and its conditions.
 pub trait Item: Debug + Send + Sync + 'static {
     /// Name of its kind in messages: `phrase` or `clip`.
@@ -38,5 +40,11 @@ pub trait Item: Debug + Send + Sync + 'static {
     /// Counts of the conditions, by name.
     fn counts(&self) -> Vec<(&'static str, usize)> {
         Vec::new()
+    }
+
+    /// Song of the item, and distance of its beats from the beats tracked in the music, if it has
+    /// both.
+    fn tracked_beats(&self, _songs: &Songs) -> Option<(String, f64)> {
+        None
     }
 }

@@ -22,6 +22,8 @@ mod atomic;
 mod audio_layout;
 mod augment;
 mod batch;
+mod beat_agreement;
+mod beat_phrase;
 mod cache;
 mod config;
 mod context_window;
@@ -67,6 +69,8 @@ pub use kinegrad_ranks::Alone;
 pub use atomic::{is_unfinished, write as write_whole};
 pub use audio_layout::{AUDIO_CHANNELS, AudioGroup, AudioLayout, check_groups};
 pub use batch::{AUDIO, Batch, CAPTIONS, Condition, ConditionRows, SampleShape, TEXT, WORDS};
+pub use beat_agreement::{BeatAgreement, CHANCE};
+pub use beat_phrase::{BeatPhrase, bars};
 pub use config::{
     AugmentConfig, CacheConfig, Crop, DataConfig, DataKind, MIN_FRAMES, OnBadPhrase, StatisticsOf,
     StoreConfig, SyntheticConfig, ValidationSplit,

@@ -254,7 +254,8 @@ impl<'a> Archive<'a> {
         let hint = match member == BEATS.0 {
             true => {
                 "beat features are requested (data.audio_features = [\"ccmotion\", \"beats\"]): \
-                 prepare the songs with them, or leave the key out to use the 163 features alone"
+                 prepare the songs with them, or use the 163 features alone with \
+                 data.audio_features = [\"ccmotion\"]"
             }
             false => {
                 "features.npz contains mel, chroma, mfcc, rms, spectral_centroid and onset_strength"

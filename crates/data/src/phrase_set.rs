@@ -2,12 +2,14 @@
 
 use std::borrow::Cow;
 use std::collections::HashMap;
+use std::sync::Arc;
 
 use kinegrad_motion::Phrases;
 use kinegrad_settings::InvalidSetting;
 use kinegrad_settings::counted;
 
 use crate::audio_layout::AudioLayout;
+use crate::beat_agreement::tracked_distance;
 use crate::files::Files;
 use crate::item::Item;
 use crate::item_set::ItemSet;
@@ -21,7 +23,9 @@ use crate::pattern::idle;
 use crate::scan::{Listable, Scan};
 use crate::split::Split;
 use crate::store::Store;
-use crate::{DataConfig, DataKind, Error, FileError, PhraseItem, SyntheticConfig, synthetic};
+use crate::{
+    DataConfig, DataKind, Error, FileError, PhraseItem, Songs, SyntheticConfig, synthetic,
+};
 
 /// Phrases in the order of their ids. A clone shares the phrases.
 pub type PhraseSet = ItemSet<PhraseItem>;
@@ -55,6 +59,10 @@ impl Item for PhraseItem {
     fn conditions(&self) -> Vec<(&'static str, &[f32])> {
         let arrays = self.audio.arrays();
         arrays.map(|(name, _, values)| (name, values)).collect()
+    }
+
+    fn tracked_beats(&self, songs: &Songs) -> Option<(String, f64)> {
+        tracked_distance(Arc::new(self.clone()), songs)
     }
 }
 

@@ -76,8 +76,9 @@ pub fn evaluate(
                 seed,
                 ..EvaluationRequest::default()
             };
-            let evaluate = BUILT_IN.evaluate(&trained, &request)?;
-            let evaluated = evaluate(&mut |stage, done, all| progress.step(stage, done, all))?;
+            let prepared = BUILT_IN.evaluate(&trained, &request)?;
+            let evaluated =
+                (prepared.evaluate)(&mut |stage, done, all| progress.step(stage, done, all))?;
             Ok(json(&evaluated.json))
         })
     })

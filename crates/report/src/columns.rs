@@ -1,6 +1,6 @@
 //! Columns of named values side by side.
 
-use crate::table::rows;
+use crate::table::rows_within;
 
 /// Placeholder of a missing value in tables.
 const MISSING: &str = "-";
@@ -24,8 +24,8 @@ struct Line<'a> {
     values: Vec<Option<&'a str>>,
 }
 
-/// All columns as a table with one line per value.
-pub fn columns_table(columns: &[Column<'_>]) -> String {
+/// All columns as a table with one line per value, in at most `width` characters.
+pub fn columns_table(columns: &[Column<'_>], width: Option<usize>) -> String {
     let mut all = vec![vec![String::new()]];
     all[0].extend(columns.iter().map(|column| column.label.clone()));
     let mut section = None;
@@ -39,7 +39,7 @@ pub fn columns_table(columns: &[Column<'_>]) -> String {
         let cells = [line.name].into_iter().chain(cells);
         all.push(cells.map(String::from).collect());
     }
-    rows(all)
+    rows_within(all, width)
 }
 
 /// All columns as CSV with one line per value: section heading and name under `heads`, then the
@@ -106,7 +106,7 @@ mod tests {
 
     #[test]
     fn names_keep_their_first_place_and_missing_values_are_marked() {
-        let shown = columns_table(&columns());
+        let shown = columns_table(&columns(), None);
         let lines: Vec<&str> = shown.lines().map(str::trim_end).collect();
         assert_eq!(
             lines,

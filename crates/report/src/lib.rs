@@ -17,4 +17,4 @@ pub mod viewer;
 pub use columns::{Column, Section, columns_csv, columns_table};
 pub use export::{ExportError, Stop, check as must_be_exportable};
 pub use picture::{Panel, PictureError, Series, body_panels, check_ending, draw, draw_png};
-pub use table::{facts, grouped, rows, table};
+pub use table::{facts, grouped, rows, rows_within, table, wrapped};

@@ -131,4 +131,12 @@ pub trait Recipe {
     fn score(&self, _model: &Self::Model, _device: &Device) -> Result<Option<Score>, Error> {
         Ok(None)
     }
+
+    /// A warning about trained weights, after the last validation. Collective.
+    ///
+    /// # Errors
+    /// If sampling fails.
+    fn warning(&self, _model: &Self::Model, _device: &Device) -> Result<Option<String>, Error> {
+        Ok(None)
+    }
 }

@@ -17,6 +17,8 @@ pub struct TrainedModel {
     pub weights: Weights,
     /// The device to run on, without gradients.
     pub device: Device,
+    /// The keys of the config that overrides changed, with their values as JSON.
+    pub overridden: Vec<(String, String)>,
     /// True for the CPU, which computes in main memory.
     pub on_host: bool,
 }
@@ -46,6 +48,7 @@ impl TrainedModel {
         Self {
             saved,
             device: self.device.clone(),
+            overridden: Vec::new(),
             ..*self
         }
     }

@@ -150,6 +150,7 @@ impl<R: Recipe> Trainer<R> {
     pub fn run(&mut self, observer: &mut dyn Observer) -> Result<Ending, Error> {
         let max_steps = self.parts.config.train.max_steps;
         let validates = self.parts.config.validation.every_steps > 0;
+        let first = self.step;
         if self.step == 0 && validates && self.parts.recipe.measures_first() {
             // Training may worsen the initial weights. A run stopped here measures the initial
             // weights again.
@@ -209,6 +210,12 @@ impl<R: Recipe> Trainer<R> {
         };
         self.parts.group.done(written)?;
         self.save_unless_saved(observer)?;
+        if ending != Ending::Interrupted && validates && self.step > first {
+            let device = self.parts.device.clone().inner();
+            let warning = self.parts.recipe.warning(&self.averaged_model(), &device);
+            let warning = self.parts.group.done(warning)?;
+            warning.iter().for_each(|text| observer.warning(text));
+        }
         Ok(ending)
     }
 
@@ -306,18 +313,19 @@ impl<R: Recipe> Trainer<R> {
         Ok(Some((report, record)))
     }
 
+    /// The networks with EMA weights, without gradients. Collective.
+    fn averaged_model(&self) -> R::Model {
+        let model = self.model.as_ref();
+        let model = model.expect("present between updates").valid();
+        let ranks = self.parts.group.ranks();
+        let averages = self.states.averages(ranks, Receivers::All);
+        parameters::replace(model, averages.into_owned())
+    }
+
     /// Validates the EMA weights and records the loss, and the score that selects the best step.
     pub(crate) fn measure(&mut self) -> Result<(f64, Option<f64>), Error> {
         let device = self.parts.device.clone().inner();
-        let model = self
-            .model
-            .as_ref()
-            .expect("present between updates")
-            .valid();
-        let averages = self
-            .states
-            .averages(self.parts.group.ranks(), Receivers::All);
-        let averaged = parameters::replace(model, averages.into_owned());
+        let averaged = self.averaged_model();
         let Measured { total, terms } = self.parts.recipe.validation_loss(&averaged, &device);
         if !total.is_finite() {
             let broken = terms.iter().find(|(_, value)| !value.is_finite());

@@ -64,10 +64,16 @@ pub struct EvalArguments {
     /// Dataset with the held-out motion, split as in the run's config [default: the run's dataset]
     #[arg(long, value_name = "URI")]
     pub source: Option<String>,
-    /// Print JSON
+    /// Print all measures
     #[arg(long)]
+    pub all: bool,
+    /// Print JSON
+    #[arg(long, conflicts_with = "all")]
     pub json: bool,
-    /// Output folder [default: RUN/reports of each run]
+    /// Output folder [default: RUN/reports of each run, in files named by the settings]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// Replace a report of other settings in DIR
+    #[arg(long)]
+    pub overwrite: bool,
 }

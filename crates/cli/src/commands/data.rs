@@ -213,7 +213,9 @@ fn print(inspection: &Inspection, config: &DataConfig) {
     ];
     let counts = inspection.counts.iter();
     let counts = counts.map(|(name, count)| (name.as_str(), grouped(*count)));
-    say!("{}\n", facts(shown.into_iter().chain(counts)));
+    let beats = inspection.beats.iter();
+    let beats = beats.map(|beats| ("phase from tracked beats", beats.to_string()));
+    say!("{}\n", facts(shown.into_iter().chain(counts).chain(beats)));
     say!("{}", channels(&inspection.motion));
     if !inspection.conditions.is_empty() {
         say!("\n{}", channels(&inspection.conditions));

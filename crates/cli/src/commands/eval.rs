@@ -1,5 +1,8 @@
 //! `kinegrad eval`
 
+mod reports;
+mod summary;
+
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -9,12 +12,13 @@ use kinegrad_report::{Column, Section, columns_csv, columns_table};
 use kinegrad_train::checkpoint::SavedCheckpoint;
 use kinegrad_train::evaluation::{self, Evaluated, EvaluationRequest};
 use kinegrad_train::{Error, ProcessGroup, Systems, TrainedModel, config};
-use serde_json::json;
 
 use super::sample::{checkpoint, trained_for, while_it_is_trained};
 use crate::args::EvalArguments;
+use crate::output;
 use crate::progress::Denoising;
 use crate::ranks::{agreed, guarded, process_group};
+use reports::{Reports, Settings};
 
 /// Evaluates each run, writes the reports and prints them.
 pub fn run(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, Error> {
@@ -38,6 +42,7 @@ fn evaluate(
     arguments: EvalArguments,
     group: &Rc<ProcessGroup>,
 ) -> Result<(), Error> {
+    let settings = |trained: &[TrainedModel]| Settings::of(trained, &arguments);
     let runs = &arguments.runs;
     let scales = arguments.sampler.guidance_scale.len();
     if scales > 1 && !arguments.audio_ablation {
@@ -50,7 +55,7 @@ fn evaluate(
     must_compare(systems, &models)?;
     let trajectory = arguments.trajectory_run.as_deref().map(checkpoint);
     let request = EvaluationRequest {
-        source: arguments.source,
+        source: arguments.source.clone(),
         trajectory: trajectory.transpose()?,
         evaluator: None,
         seed: arguments.seed,
@@ -63,44 +68,76 @@ fn evaluate(
         .iter()
         .map(|trained| systems.evaluate(trained, &request));
     let evaluations = evaluations.collect::<Result<Vec<_>, _>>()?;
-    let own = |trained: &TrainedModel| run_folder(trained.path()).join("reports");
-    let folders: Vec<PathBuf> = match arguments.out {
-        Some(out) => vec![out],
-        None => models.iter().map(own).collect(),
+    let stem = evaluations[0].report;
+    // One folder for all runs, or one folder per run.
+    let reports: Vec<Reports> = match &arguments.out {
+        Some(out) => vec![Reports::together(
+            out,
+            stem,
+            settings(&models).of_runs(runs),
+        )],
+        None => {
+            let own = models.iter().zip(runs).map(|(trained, run)| {
+                let folder = run_folder(trained.path()).join("reports");
+                let settings = settings(std::slice::from_ref(trained)).of_checkpoint(run);
+                Reports::named(&folder, stem, settings)
+            });
+            own.collect()
+        }
     };
+    let mut made = Ok(());
     if group.writes() {
-        let mut folders = folders.iter();
-        folders.try_for_each(|folder| crate::folder::make(folder))?;
+        let mut reports = reports.iter();
+        made = reports.try_for_each(|reports| reports.make(arguments.overwrite));
     }
+    group.done(made)?;
 
     let mut evaluated = Vec::with_capacity(models.len());
-    for (trained, evaluate) in models.iter().zip(evaluations) {
+    for (trained, prepared) in models.iter().zip(evaluations) {
         let bar = Denoising::of(&trained.config().run.name);
-        evaluated.push(evaluate(&mut |stage, done, all| {
+        evaluated.push((prepared.evaluate)(&mut |stage, done, all| {
             bar.show(stage, done, all);
             ControlFlow::Continue(())
         })?);
         bar.finish();
     }
-    // One folder for all runs, or one folder per run.
-    let each = evaluated.chunks(models.len() / folders.len());
-    let each = folders.iter().zip(each);
+    let each = evaluated.chunks(models.len() / reports.len());
+    let each = reports.iter().zip(each);
     let each = each.filter(|_| group.writes());
-    let written = each.map(|(folder, each)| write(folder, runs, each));
-    let written: Vec<[PathBuf; 2]> = group.done(written.collect())?;
+    let written = each.map(|(reports, each)| {
+        let csv = columns_csv(["samples", "measure"], &columns(runs, each, true));
+        reports.write(each, &csv)
+    });
+    let written: Vec<String> = group.done(written.collect())?;
     if !group.writes() {
         return Ok(());
     }
     if arguments.json {
-        say!("{}", report(&evaluated));
+        let settings = match &reports[..] {
+            [one] => one.settings.clone(),
+            _ => settings(&models),
+        };
+        say!("{}", reports::json(&evaluated, &settings));
+        return Ok(());
+    }
+    let (labels, width) = (labels(runs, &evaluated), output::width());
+    for line in summary::verdict(&labels, &evaluated) {
+        say!("{}", kinegrad_report::wrapped(&line, width));
+    }
+    if arguments.all {
+        let columns = columns(runs, &evaluated, false);
+        say!("\n{}", columns_table(&columns, width));
     } else {
-        say!("{}", columns_table(&columns(runs, &evaluated, false)));
-        for remark in evaluated.iter().flat_map(|each| &each.remarks) {
-            say!("\n{remark}");
-        }
-        for path in written.concat() {
-            say!("{}", path.display());
-        }
+        say!("{}", summary::table(&labels, &evaluated, width));
+    }
+    for remark in evaluated.iter().flat_map(|each| &each.remarks) {
+        say!("{}", kinegrad_report::wrapped(remark, width));
+    }
+    for files in written {
+        say!("{files}");
+    }
+    if !arguments.all {
+        say!("all measures: --all");
     }
     Ok(())
 }
@@ -149,48 +186,27 @@ fn run_folder(checkpoint: &Path) -> &Path {
     inside.and_then(Path::parent).unwrap_or(checkpoint)
 }
 
-/// Writes the report as JSON and CSV, and returns the files.
-fn write(folder: &Path, runs: &[PathBuf], all: &[Evaluated]) -> Result<[PathBuf; 2], Error> {
-    let stem = all[0].report;
-    let [json, csv] = ["json", "csv"].map(|ending| folder.join(format!("{stem}.{ending}")));
-    let columns = columns(runs, all, true);
-    let texts = [
-        report(all) + "\n",
-        columns_csv(["samples", "measure"], &columns),
-    ];
-    for (path, text) in [&json, &csv].into_iter().zip(texts) {
-        // After a crash, the former report remains.
-        let temporary = path.with_extension("partial");
-        std::fs::write(&temporary, text)
-            .and_then(|()| std::fs::rename(&temporary, path))
-            .map_err(Error::io("write", path))?;
-    }
-    Ok([json, csv])
-}
-
-/// All numbers as JSON.
-fn report(all: &[Evaluated]) -> String {
-    let all: Vec<_> = all.iter().map(|each| &each.json).collect();
-    serde_json::to_string_pretty(&json!({ "evaluations": all })).expect("plain data")
-}
-
-/// A column for each run, and a column for real motion. Run columns have the runs' names or, if two
-/// names are equal, the runs' `paths`.
-fn columns<'a>(paths: &[PathBuf], all: &'a [Evaluated], in_full: bool) -> Vec<Column<'a>> {
+/// The names of the runs or, if two names are equal, the runs' `paths`.
+fn labels(paths: &[PathBuf], all: &[Evaluated]) -> Vec<String> {
     let mut names: Vec<&str> = all.iter().map(|each| each.run.as_str()).collect();
     names.sort_unstable();
     let by_path = names.windows(2).any(|pair| pair[0] == pair[1]);
+    let labels = paths.iter().zip(all).map(|(path, each)| match by_path {
+        true => path.display().to_string(),
+        false => each.run.clone(),
+    });
+    labels.collect()
+}
+
+/// A column for each run, and a column for real motion.
+fn columns<'a>(paths: &[PathBuf], all: &'a [Evaluated], in_full: bool) -> Vec<Column<'a>> {
     let same = all.iter().all(|each| each.real == all[0].real);
     let column = |label: String, column: &'a evaluation::Column| Column {
         label,
         sections: sections(column, in_full),
     };
     let mut columns = Vec::new();
-    for (path, each) in paths.iter().zip(all) {
-        let label = match by_path {
-            true => path.display().to_string(),
-            false => each.run.clone(),
-        };
+    for (label, each) in labels(paths, all).into_iter().zip(all) {
         // Real motion differs between the runs.
         let real = (!same).then(|| column(format!("real ({label})"), &each.real));
         columns.push(column(label, &each.samples));

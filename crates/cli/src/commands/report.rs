@@ -15,6 +15,8 @@ use kinegrad_report::page::{Block, Cell, Page, Section, Table, Tone, csv_table, 
 use kinegrad_train::telemetry::{Record, read_environments, read_metrics};
 use kinegrad_train::{Error, Systems, config};
 
+use serde_json::Value;
+
 use crate::args::ReportArguments;
 use crate::folder;
 use crate::io::{file_stem, files_in};
@@ -186,22 +188,62 @@ fn evaluation(run: &Path) -> Section {
             None if is_csv => {
                 section.add(Block::Warning(format!("{} is not a table", path.display())));
             }
-            None => section.add(Block::Source(format!("{name}.json"), text)),
+            None => {
+                verdicts(&text).for_each(|said| section.add(Block::Text(said)));
+                section.add(Block::Source(format!("{name}.json"), text));
+            }
         }
     }
     section
 }
 
-/// The main measures: names without a dot, and pass rates.
+/// The verdicts in a report of `kinegrad eval`: each with the run's name.
+fn verdicts(report: &str) -> impl Iterator<Item = String> {
+    let report: Value = serde_json::from_str(report).unwrap_or_default();
+    let evaluations = report["evaluations"].as_array().cloned();
+    let evaluations = evaluations.unwrap_or_default().into_iter();
+    evaluations.flat_map(|each| {
+        let run = each["run"].as_str().unwrap_or_default().to_owned();
+        let said = each["verdict"].as_array().cloned().unwrap_or_default();
+        let said = said
+            .into_iter()
+            .filter_map(|said| said.as_str().map(String::from));
+        said.map(move |said| format!("{run}: {said}"))
+    })
+}
+
+/// The main measures: names without a dot, means with their intervals, and pass rates.
 fn main_rows(table: &Table) -> Table {
-    let is_main = |row: &&Vec<Cell>| {
-        let name = row.first().map_or("", |cell| &cell.text);
-        let parts = name.split('.').count();
-        row.len() == 1 || parts == 1 || parts == 2 && name.ends_with("pass_rate")
-    };
+    let name = |row: &[Cell]| row.first().map_or("", |cell| &cell.text).to_owned();
+    let rows = table.rows.iter().enumerate().filter_map(|(place, row)| {
+        if row.len() == 1 {
+            return Some(row.clone());
+        }
+        let full = name(row);
+        let parts = full.split('.').count();
+        let Some(of_mean) = full.strip_suffix(".mean") else {
+            let is_main = parts == 1 || parts == 2 && full.ends_with("pass_rate");
+            return is_main.then(|| row.clone());
+        };
+        let end = |place: usize, end: &str| {
+            let row = table.rows.get(place)?;
+            (name(row) == format!("{of_mean}.{end}")).then_some(row)
+        };
+        let ends = end(place + 1, "low").zip(end(place + 2, "high"));
+        let cells = row.iter().enumerate().skip(1).map(|(column, mean)| {
+            let ends = ends.and_then(|(low, high)| low.get(column).zip(high.get(column)));
+            match ends.filter(|(low, _)| !low.text.is_empty()) {
+                Some((low, high)) => {
+                    Cell::from(format!("{} ({} to {})", mean.text, low.text, high.text))
+                }
+                None => mean.clone(),
+            }
+        });
+        Some(std::iter::once(Cell::from(of_mean)).chain(cells).collect())
+    });
     Table {
         header: table.header.clone(),
-        rows: table.rows.iter().filter(is_main).cloned().collect(),
+        rows: rows.collect(),
     }
 }
 

@@ -61,6 +61,43 @@ fn counts_and_statistics_are_those_of_the_phrases() {
 }
 
 #[test]
+fn phases_are_compared_with_the_beats_tracked_in_the_music() {
+    let folder = tempfile::tempdir().unwrap();
+    let inspected = || {
+        let config = DataConfig {
+            source: Some(folder.path().display().to_string()),
+            ..DataConfig::default()
+        };
+        inspect(&config, &no_progress).unwrap()
+    };
+    synthetic::write_dataset(folder.path(), crate::AudioLayout::CCMOTION, 12, 120, 3).unwrap();
+    let found = inspected();
+    let beats = found.beats.unwrap();
+    assert_eq!((beats.phrases, beats.songs), (12, 12));
+    assert!(beats.error.mean < 0.05, "{beats}");
+    assert!(!beats.is_at_chance() && found.warnings.is_empty());
+    // Each phrase is late by another part of a beat.
+    for index in 0..12 {
+        let path = folder.path().join(motion_path(&synthetic::id(index)));
+        let mut motion = read_motion(&path).unwrap();
+        for t in 0..120 {
+            let phase = motion.frame(t)[PHASE] + index as f32 / 48.0;
+            motion.frame_mut(t)[PHASE] = phase.rem_euclid(1.0);
+        }
+        write_motion(&path, &motion).unwrap();
+    }
+    let found = inspected();
+    let beats = found.beats.unwrap();
+    assert!((beats.error.mean - 0.25).abs() < 0.03, "{beats}");
+    let warning = "the phase of the phrases does not follow the beats tracked in their music";
+    assert!(
+        found.warnings[0].starts_with(warning),
+        "{:?}",
+        found.warnings
+    );
+}
+
+#[test]
 fn every_kind_of_problem_is_listed_and_none_stops_the_rest() {
     let folder = tempfile::tempdir().unwrap();
     synthetic::write_dataset(folder.path(), crate::AudioLayout::CCMOTION, 8, 30, 3).unwrap();

@@ -139,6 +139,7 @@ fn evaluate(
         facts: Vec::new(),
         samples: Some(samples),
         real,
+        verdict: Vec::new(),
         remarks: Vec::new(),
     })
 }

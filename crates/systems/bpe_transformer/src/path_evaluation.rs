@@ -13,7 +13,9 @@ use kinegrad_train::Error;
 use kinegrad_train::clips::TimedPrompt;
 use kinegrad_train::clips::captions::ClipText;
 use kinegrad_train::clips::path_target::{PathTarget, features_of, root_trajectory};
-use kinegrad_train::evaluation::{EvaluationRequest, Metrics, Number, OnStep, for_each_item};
+use kinegrad_train::evaluation::{
+    Better, EvaluationRequest, Metrics, Number, OnStep, for_each_item,
+};
 use kinegrad_train::sampling::item_seed;
 use serde::Serialize;
 
@@ -75,7 +77,12 @@ impl PathFollowingReport {
 
 impl Metrics for PathFollowingReport {
     fn rows(&self) -> Vec<Number> {
-        Number::list([
+        let main = [
+            ("progress", Better::NearReal),
+            ("error in time", Better::Lower),
+            ("foot skating", Better::NearReal),
+        ];
+        let rows = Number::list([
             ("progress", self.progress, ""),
             ("distance from the path", self.mean_distance, ", m"),
             ("largest distance", self.largest_distance, ", m"),
@@ -88,7 +95,8 @@ impl Metrics for PathFollowingReport {
             ("jerk, 99th percentile", self.jerk_99, ", m/s³"),
             ("Fréchet distance", self.frechet_distance, ""),
             ("seconds", self.seconds, ""),
-        ])
+        ]);
+        Number::mark(rows, &main)
     }
 }
 

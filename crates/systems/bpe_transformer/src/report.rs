@@ -5,7 +5,7 @@ use kinegrad_motion::humanml::{Features, Joints, Skeleton};
 use kinegrad_motion::metrics::{
     FeatureMoments, TransitionJerk, frechet_distance, jerk_of_frames, mean_jerk, skating_ratio,
 };
-use kinegrad_train::evaluation::{Metrics, Number};
+use kinegrad_train::evaluation::{Better, Metrics, Number};
 use serde::Serialize;
 
 /// Means over motions.
@@ -115,7 +115,15 @@ fn means(features: &Features, statistics: &Statistics) -> Vec<f64> {
 
 impl Metrics for ComposedReport {
     fn rows(&self) -> Vec<Number> {
-        Number::list([
+        let main = [
+            ("jerk", Better::NearReal),
+            ("foot skating", Better::NearReal),
+            ("speed", Better::NearReal),
+            ("peak jerk", Better::NearReal),
+            ("area under the jerk", Better::Lower),
+            ("Fréchet distance", Better::Lower),
+        ];
+        let rows = Number::list([
             ("jerk", self.jerk, ", m/s³"),
             ("foot skating", self.foot_skating, ""),
             ("lowest joint", self.lowest_joint, ", m"),
@@ -123,6 +131,7 @@ impl Metrics for ComposedReport {
             ("peak jerk", self.peak_jerk, ", m/frame³"),
             ("area under the jerk", self.area_under_jerk, ", m/frame³"),
             ("Fréchet distance", self.frechet_distance, ""),
-        ])
+        ]);
+        Number::mark(rows, &main)
     }
 }

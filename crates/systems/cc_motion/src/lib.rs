@@ -7,6 +7,7 @@ mod config;
 pub mod evaluate;
 pub mod generate;
 mod generator;
+mod hearing;
 mod leaks;
 mod lengths;
 mod load;

@@ -5,7 +5,7 @@ use std::rc::Rc;
 use std::sync::Arc;
 
 use burn::tensor::Device;
-use kinegrad_data::{Batch, PhraseItem, PhraseSet};
+use kinegrad_data::{Batch, PhraseItem, PhraseSet, Songs};
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_models::GradientSum;
 use kinegrad_train::checkpoint::State;
@@ -13,8 +13,9 @@ use kinegrad_train::config::SelectBy;
 use kinegrad_train::{Error, Loss, Measured, ProcessGroup, Recipe, Score, StepKey};
 
 use super::CondSource;
-use super::evaluate::{EvaluationReport, SampleSettings, evaluate};
+use super::evaluate::{EvaluationReport, HeldOut, SampleSettings, evaluate};
 use super::generate::Generator;
+use super::hearing::Hearing;
 use super::lengths::leading;
 use crate::network::{MotionDecoder, UNet1d};
 
@@ -80,8 +81,19 @@ impl Selection {
             cond: CondSource::Phrases,
         };
         let no_progress = &mut |_, _, _| ControlFlow::Continue(());
-        let (phrases, group) = (&self.phrases, &self.group);
-        let report = evaluate(&generator, phrases, &[], settings, group, no_progress)?;
+        let held_out = HeldOut {
+            phrases: &self.phrases,
+            songs: &Songs::default(),
+            beats_per_bar: None,
+        };
+        let report = evaluate(
+            &generator,
+            held_out,
+            &[],
+            settings,
+            &self.group,
+            no_progress,
+        )?;
         Ok(score(self.by, &report))
     }
 }
@@ -116,6 +128,8 @@ pub(super) struct Selecting<R: Recipe> {
     pub recipe: R,
     /// The criterion of the best step, if not the loss.
     pub selection: Option<Selection>,
+    /// The held-out phrases whose beats samples should follow.
+    pub hearing: Hearing,
     /// The networks that generate the samples.
     pub networks: NetworksOf<R::Model>,
 }
@@ -157,5 +171,9 @@ impl<R: Recipe> Recipe for Selecting<R> {
     fn score(&self, model: &Self::Model, device: &Device) -> Result<Option<Score>, Error> {
         let score = |selection: &Selection| selection.score((self.networks)(model), device);
         self.selection.as_ref().map(score).transpose()
+    }
+
+    fn warning(&self, model: &Self::Model, device: &Device) -> Result<Option<String>, Error> {
+        self.hearing.warning((self.networks)(model), device)
     }
 }

@@ -14,6 +14,7 @@ use kinegrad_train::config::Config;
 use kinegrad_train::run::{Outcome, RunContext, TrainingData};
 use kinegrad_train::{Error, Observer};
 
+use super::hearing::{self, Hearing};
 use super::load::{denoiser, networks, targets};
 use super::recipe_name::RecipeName;
 use super::recipes::{DecoderRecipe, E2eRecipe, Rollouts, diffusion_recipe};
@@ -30,6 +31,13 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
     let data = &context.config.data;
     let dataset = Dataset::<PhraseItem>::open_among(data, &*observer.reading(), &*context.group)?;
     context.check_dataset(&dataset, observer)?;
+    if context.checkpoint.is_none() {
+        let warned = match group.writes() {
+            true => hearing::warn_of_data(&dataset, &context.config.data, observer),
+            false => Ok(()),
+        };
+        group.done(warned)?;
+    }
     let config = style::with_labels(context.config.clone(), &dataset, observer)?;
     context.config = config.clone();
     let recipe = RecipeName::of(&config);
@@ -116,6 +124,7 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
         network_statistics: network_statistics.clone(),
         ..State::untrained(config.clone(), statistics.clone())
     };
+    let hearing = Hearing::new(&dataset.validation, &diffusion, state.clone(), &group)?;
     let selection = Selection::new(&dataset.validation, &diffusion, state, &group)?;
     let (training_data, held_out) = context.training_data(dataset, statistics.clone(), samples)?;
     let training_data = TrainingData {
@@ -138,6 +147,7 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
             let selecting = Selecting {
                 recipe: diffusion_recipe(diffusion, held_out),
                 selection,
+                hearing,
                 networks: |unet| (unet.clone(), None),
             };
             context.train(training_data, selecting, model, observer)
@@ -147,6 +157,7 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
             let selecting = Selecting {
                 recipe: DecoderRecipe::new(rollouts, &own.loss, held_out),
                 selection,
+                hearing,
                 networks: of_both,
             };
             context.train(training_data, selecting, model, observer)
@@ -156,6 +167,7 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
             let selecting = Selecting {
                 recipe: E2eRecipe::new(rollouts, &own.loss, held_out),
                 selection,
+                hearing,
                 networks: of_both,
             };
             context.train(training_data, selecting, model, observer)

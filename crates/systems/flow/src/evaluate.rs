@@ -168,6 +168,7 @@ fn evaluate(
         facts: Vec::new(),
         samples: Some(groups(&of_samples, &own, &other)),
         real: groups(&of_real, &none, &none),
+        verdict: Vec::new(),
         remarks: vec![format!(
             "{per_frame:.1} velocity evaluations for each frame"
         )],

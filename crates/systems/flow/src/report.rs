@@ -3,7 +3,7 @@
 use kinegrad_motion::humanml::{FeatureLayout, Joints, Skeleton};
 use kinegrad_motion::metrics::{FeatureMoments, frechet_distance, mean_jerk, skating_ratio};
 use kinegrad_motion::vector::length;
-use kinegrad_train::evaluation::{Metrics, Number};
+use kinegrad_train::evaluation::{Better, Metrics, Number};
 use serde::Serialize;
 
 use super::windows::rows;
@@ -97,7 +97,15 @@ impl RolloutReport {
 
 impl Metrics for RolloutReport {
     fn rows(&self) -> Vec<Number> {
-        Number::list([
+        let main = [
+            ("jerk", Better::NearReal),
+            ("foot skating", Better::NearReal),
+            ("bone change", Better::Lower),
+            ("speed", Better::NearReal),
+            ("turn rate", Better::NearReal),
+            ("Fréchet distance", Better::Lower),
+        ];
+        let rows = Number::list([
             ("jerk", self.jerk, ", m/s³"),
             ("jerk at end", self.jerk_at_end, ", m/s³"),
             ("foot skating", self.foot_skating, ""),
@@ -107,7 +115,8 @@ impl Metrics for RolloutReport {
             ("speed", self.speed, ", m/s"),
             ("turn rate", self.turn_rate, ", degrees/s"),
             ("Fréchet distance", self.frechet_distance, ""),
-        ])
+        ]);
+        Number::mark(rows, &main)
     }
 }
 

@@ -44,6 +44,7 @@ pub(super) fn prepare<'a>(
                 ],
                 samples: None,
                 real: vec![Group::new("text_motion", "", &report)],
+                verdict: Vec::new(),
                 remarks: Vec::new(),
             })
         }),

@@ -4,6 +4,7 @@ mod held_out;
 mod replications;
 mod request;
 mod table;
+mod verdict;
 
 use std::ops::ControlFlow;
 
@@ -14,7 +15,9 @@ use serde_json::{Value, to_value};
 pub use held_out::{clips_with_held_out, note_if_fewer, phrases_with_held_out};
 pub use replications::{Replicated, replicate};
 pub use request::EvaluationRequest;
-pub use table::{Column, Group, Metrics, Number};
+pub use table::{Better, Column, Group, Metrics, Number};
+pub use verdict::best_columns;
+pub(crate) use verdict::furthest_from_real;
 
 use crate::config::SamplingConfig;
 use crate::error::Error;
@@ -24,8 +27,16 @@ use crate::process_group::ProcessGroup;
 /// [`Error::Interrupted`].
 pub type OnStep<'a> = dyn FnMut(&'static str, usize, usize) -> ControlFlow<()> + 'a;
 
-/// A validated evaluation, to be called with a progress callback.
+/// Generates and measures samples, with a progress callback.
 pub type Evaluate<'a> = Box<dyn FnOnce(&mut OnStep<'_>) -> Result<Evaluated, Error> + 'a>;
+
+/// A validated evaluation.
+pub struct Prepared<'a> {
+    /// Stem of the report's files.
+    pub report: &'static str,
+    /// The evaluation.
+    pub evaluate: Evaluate<'a>,
+}
 
 /// Generates and measures the samples of an evaluation.
 pub type Measure<'a> = Box<dyn FnOnce(&mut OnStep<'_>) -> Result<Results, Error> + 'a>;
@@ -54,6 +65,8 @@ pub struct Results {
     pub samples: Option<Vec<Group>>,
     /// The metrics of real motion.
     pub real: Vec<Group>,
+    /// The system's verdict on the samples, in sentences.
+    pub verdict: Vec<String>,
     /// Remarks outside the table.
     pub remarks: Vec<String>,
 }
@@ -63,14 +76,14 @@ pub struct Results {
 pub struct Evaluated {
     /// Name of the run.
     pub run: String,
-    /// Stem of the report's files.
-    pub report: &'static str,
     /// The report, as JSON.
     pub json: Value,
     /// The metrics of the samples.
     pub samples: Column,
     /// The same metrics of real motion.
     pub real: Column,
+    /// The verdict on the samples, in sentences.
+    pub verdict: Vec<String>,
     /// Remarks outside the table.
     pub remarks: Vec<String>,
 }

@@ -12,6 +12,62 @@ pub struct Column {
     pub groups: Vec<Group>,
 }
 
+impl Column {
+    /// The main measures: each with its group.
+    pub fn main(&self) -> impl Iterator<Item = (&Group, &Number)> {
+        let groups = self.groups.iter();
+        groups.flat_map(|group| {
+            let main = group.numbers.iter();
+            let main = main.filter(|number| number.better.is_some());
+            main.map(move |number| (group, number))
+        })
+    }
+
+    /// The number of this name in the group of this key.
+    pub fn number(&self, group: &str, name: &str) -> Option<&Number> {
+        let group = self.groups.iter().find(|each| each.key == group)?;
+        group.numbers.iter().find(|number| number.name == name)
+    }
+}
+
+/// Direction of a main measure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Better {
+    /// A lower value is better.
+    Lower,
+    /// A higher value is better.
+    Higher,
+    /// A value near that of real motion is better.
+    NearReal,
+}
+
+impl Better {
+    /// Its name in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Lower => "lower",
+            Self::Higher => "higher",
+            Self::NearReal => "near real",
+        }
+    }
+
+    /// A badness that orders values, with the value of `real` motion; `None` if a value is missing.
+    pub fn badness(self, value: Option<f64>, real: Option<f64>) -> Option<f64> {
+        let value = value?;
+        match self {
+            Self::Lower => Some(value),
+            Self::Higher => Some(-value),
+            Self::NearReal => Some(ratio(value, real?).map_or(f64::INFINITY, |r| r.ln().abs())),
+        }
+    }
+}
+
+/// Ratio of two values of one sign; `None` for others.
+pub(super) fn ratio(value: f64, real: f64) -> Option<f64> {
+    let ratio = value / real;
+    (ratio > 0.0 && ratio.is_finite()).then_some(ratio)
+}
+
 /// A group of numbers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Group {
@@ -43,6 +99,8 @@ pub struct Number {
     pub value: Option<f64>,
     /// Row of the number in tables: a title and the number as text; `None` for files only.
     pub line: Option<(String, Option<String>)>,
+    /// Direction of a main measure; `None` for other numbers.
+    pub better: Option<Better>,
 }
 
 impl Number {
@@ -79,7 +137,17 @@ impl Number {
             name: name.into(),
             value,
             line: None,
+            better: None,
         }
+    }
+
+    /// Marks the main measures among `numbers`, by name, with their directions.
+    pub fn mark(mut numbers: Vec<Self>, main: &[(&str, Better)]) -> Vec<Self> {
+        for number in &mut numbers {
+            let found = main.iter().find(|(name, _)| *name == number.name);
+            number.better = found.map(|(_, better)| *better);
+        }
+        numbers
     }
 }
 
@@ -97,14 +165,30 @@ impl<T: Metrics> Metrics for Vec<T> {
 
 impl Metrics for GoalReport {
     fn rows(&self) -> Vec<Number> {
-        Number::list(GoalReport::rows(self))
+        let main = [
+            ("trajectory error, 50 cm", Better::Lower),
+            ("average error", Better::Lower),
+            ("inside obstacles", Better::Lower),
+            ("foot skating", Better::NearReal),
+            ("mean jerk", Better::NearReal),
+            ("fastest root step", Better::NearReal),
+            ("diversity", Better::NearReal),
+            ("Fréchet distance", Better::Lower),
+        ];
+        Number::mark(Number::list(GoalReport::rows(self)), &main)
     }
 }
 
 impl Metrics for TextMotionReport {
     fn rows(&self) -> Vec<Number> {
         let rows = TextMotionReport::rows(self).into_iter();
-        rows.map(|(name, value)| Number::new(name, value, ""))
-            .collect()
+        let rows = rows.map(|(name, value)| Number::new(name, value, ""));
+        let main = [
+            ("R-precision, top 3", Better::Higher),
+            ("multimodal distance", Better::NearReal),
+            ("FID", Better::Lower),
+            ("diversity", Better::NearReal),
+        ];
+        Number::mark(rows.collect(), &main)
     }
 }

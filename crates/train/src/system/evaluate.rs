@@ -9,7 +9,9 @@ use crate::TrainedModel;
 use crate::checkpoint::resolve_checkpoint;
 use crate::clips::evaluator::{EvaluatorFiles, EvaluatorSource, TextMotionEvaluator};
 use crate::error::Error;
-use crate::evaluation::{Column, Evaluate, Evaluated, EvaluationRequest};
+use crate::evaluation::{
+    Column, Evaluated, EvaluationRequest, OnStep, Prepared, furthest_from_real,
+};
 use crate::memory::must_fit;
 
 impl Systems<'_> {
@@ -21,7 +23,7 @@ impl Systems<'_> {
         self,
         trained: &'m TrainedModel,
         request: &EvaluationRequest,
-    ) -> Result<Evaluate<'m>, Error> {
+    ) -> Result<Prepared<'m>, Error> {
         let (system, _) = self.of(trained.config())?;
         let evaluator = match system.evaluator_files(trained.config()) {
             Some(files) => self.text_motion_evaluator(files, &trained.device)?,
@@ -37,7 +39,8 @@ impl Systems<'_> {
         let memory = evaluation.memory.saturating_mul(processes);
         must_fit("the evaluation", memory, evaluation.memory_hint)?;
         let seed = request.seed;
-        Ok(Box::new(move |on_step| {
+        let report = evaluation.report;
+        let evaluate = Box::new(move |on_step: &mut OnStep<'_>| {
             let results = (evaluation.measure)(on_step)?;
             let run = &trained.config().run.name;
             let (mut json, mut facts) = (results.json, results.facts);
@@ -52,15 +55,21 @@ impl Systems<'_> {
                 facts: facts.iter().map(|(name, of)| (*name, of[side])).collect(),
                 groups,
             };
+            let samples = column(0, results.samples.unwrap_or_else(|| results.real.clone()));
+            let real = column(1, results.real);
+            let mut verdict = results.verdict;
+            verdict.extend(furthest_from_real(&samples, &real));
+            json["verdict"] = verdict.clone().into();
             Ok(Evaluated {
                 run: run.clone(),
-                report: evaluation.report,
                 json,
-                samples: column(0, results.samples.unwrap_or_else(|| results.real.clone())),
-                real: column(1, results.real),
+                samples,
+                real,
+                verdict,
                 remarks: [evaluation.remarks, results.remarks].concat(),
             })
-        }))
+        });
+        Ok(Prepared { report, evaluate })
     }
 
     fn text_motion_evaluator(

@@ -9,7 +9,7 @@ use super::{System, Systems};
 use kinegrad_data::file::read_text;
 
 use crate::checkpoint::{SavedCheckpoint, Weights};
-use crate::config::{self, Config, ConfigError, Place, TrainConfig, apply, lay_over};
+use crate::config::{self, Config, ConfigError, Place, TrainConfig, apply, difference, lay_over};
 use crate::device::open_for;
 use crate::error::Error;
 use crate::trained_model::TrainedModel;
@@ -201,16 +201,19 @@ impl Systems<'_> {
         device: Option<&str>,
         local: usize,
     ) -> Result<TrainedModel, Error> {
-        let config = self.completed(&saved.state.config)?;
-        let config = self.override_trained(&config, overrides)?;
+        let own = self.completed(&saved.state.config)?;
+        let config = self.override_trained(&own, overrides)?;
         let (system, _) = self.of(&config)?;
         system.validate(&config)?;
         let (device, name) = open_for(device.unwrap_or(&config.run.device), local)?;
         let (path, step) = (saved.path.display(), saved.state.step);
         log::debug!("checkpoint {path}, step {step}");
         log::debug!("device {name}; {}", crate::device::kernels());
+        let overridden = difference(&own, &config).into_iter();
+        let overridden = overridden.map(|each| (each.key, each.right));
         saved.state.config = config;
         Ok(TrainedModel {
+            overridden: overridden.collect(),
             saved,
             weights,
             device,

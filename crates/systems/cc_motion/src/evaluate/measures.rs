@@ -3,10 +3,10 @@
 use std::sync::Arc;
 
 use kinegrad_audio::beats::track;
-use kinegrad_data::PhraseItem;
+use kinegrad_data::{BeatAgreement, BeatPhrase, PhraseItem};
 use kinegrad_motion::derivatives::mean_jerk_norm;
 use kinegrad_motion::metrics::{
-    FeatureMoments, beat_alignment, diversity, frechet_distance, kinematic_beats, mean,
+    Estimate, FeatureMoments, beat_alignment, diversity, frechet_distance, kinematic_beats, mean,
     trajectory_features,
 };
 use kinegrad_motion::{Phrase, Profile, Report, Statistics, Value, check, phrase_statistics};
@@ -29,6 +29,9 @@ pub struct Measures {
     pub frechet_training: Option<f64>,
     /// Beat alignment with the phrase's own music for any condition; mean over motions with beats.
     pub beat_alignment: Option<f64>,
+    /// Mean distance between the beat phases of the motions and of their phrases, in beats, with its
+    /// interval over songs. By chance 0.25.
+    pub beat_phase_error: Option<Estimate>,
     /// Mean jerk norm of the acceleration channels, meters per second cubed.
     pub mean_jerk: Option<f64>,
     /// The movement, measured only on positions, quaternions and phase.
@@ -115,6 +118,8 @@ pub(super) struct Reference<'a> {
     training: Option<FeatureMoments>,
     /// Beats of each held-out phrase's music, seconds.
     music: Vec<Vec<f64>>,
+    /// The phases of the held-out phrases; `None` for a phrase without beats.
+    phases: Vec<Option<BeatPhrase>>,
 }
 
 impl<'a> Reference<'a> {
@@ -148,7 +153,14 @@ impl<'a> Reference<'a> {
             held_out: moments(held_out),
             training: moments(training),
             music: held_out.iter().map(beats).collect(),
+            phases: held_out.iter().map(|_| None).collect(),
         }
+    }
+
+    /// With the phases of the held-out phrases.
+    pub fn with_phases(mut self, phases: Vec<Option<BeatPhrase>>) -> Self {
+        self.phases = phases;
+        self
     }
 
     /// The metrics of at least one motion per held-out phrase. `motions` has one list per phrase,
@@ -176,6 +188,13 @@ impl<'a> Reference<'a> {
                 let aligned = move |motion| beat_alignment(&kinematic_beats(motion), music);
                 samples.iter().filter_map(aligned).map(Some)
             });
+        let phases = motions.iter().zip(&self.phases);
+        let phase_errors = phases.filter_map(|(samples, phrase)| {
+            let phrase = phrase.as_ref()?;
+            let error = |motion| Some(phrase.phase_error(motion));
+            Some((phrase.song.clone(), mean(samples.iter().map(error))?))
+        });
+        let agreement = BeatAgreement::of(phase_errors);
         let moments = feature_moments(all(), &self.statistics);
         let frechet = |reference: &Option<FeatureMoments>| {
             Some(frechet_distance(moments.as_ref()?, reference.as_ref()?))
@@ -186,6 +205,7 @@ impl<'a> Reference<'a> {
             frechet_held_out: frechet(&self.held_out),
             frechet_training: frechet(&self.training),
             beat_alignment: mean(alignment),
+            beat_phase_error: agreement.map(|agreement| agreement.error),
             mean_jerk: mean(all().map(|motion| Some(mean_jerk_norm(motion)))),
             movement: movement_spreads(all()),
             losses: loss_terms(motions, self.phrases),

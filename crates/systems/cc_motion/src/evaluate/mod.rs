@@ -1,6 +1,7 @@
 //! Metrics of a trained model's samples and of real phrases.
 
 mod audio_ablation;
+pub(crate) mod hearing;
 mod measures;
 mod movement;
 mod report;
@@ -10,7 +11,7 @@ use std::collections::BTreeSet;
 use std::iter::repeat_n;
 use std::sync::Arc;
 
-use kinegrad_data::{AudioFeatures, PhraseItem};
+use kinegrad_data::{AudioFeatures, BeatAgreement, BeatPhrase, PhraseItem, Songs};
 use kinegrad_motion::Phrase;
 use kinegrad_random::{Key, Purpose};
 use kinegrad_train::evaluation::{
@@ -57,6 +58,30 @@ pub(super) struct EvaluationReport {
     raw: Measures,
     /// The held-out phrases.
     pub real: Measures,
+    /// Agreement of their phase with the beats tracked in their music.
+    tracked: Option<BeatAgreement>,
+}
+
+/// The held-out phrases of an evaluation.
+#[derive(Clone, Copy)]
+pub(super) struct HeldOut<'a> {
+    pub phrases: &'a [Arc<PhraseItem>],
+    /// Facts about their music.
+    pub songs: &'a Songs,
+    /// Beats in a bar, if stated.
+    pub beats_per_bar: Option<f64>,
+}
+
+impl HeldOut<'_> {
+    fn phases(&self) -> Vec<Option<BeatPhrase>> {
+        let phrases = self.phrases.iter().cloned();
+        let phase = |phrase| BeatPhrase::new(phrase, self.songs, self.beats_per_bar);
+        phrases.map(phase).collect()
+    }
+
+    fn tracked(&self) -> Option<BeatAgreement> {
+        BeatAgreement::with_tracked(self.phrases, self.songs)
+    }
 }
 
 /// An evaluation on the held-out phrases.
@@ -99,15 +124,21 @@ pub(super) fn prepare<'a>(
         CondSource::Phrases => "eval",
         CondSource::Noise => "eval-noise",
     };
+    let beats_per_bar = settings.beats_per_bar.map(|beats| beats as f64);
     let settings = SampleSettings {
         seeds: settings.seeds,
         seed: request.seed,
         cond: settings.cond,
     };
-    let group = request.group.clone();
+    let (group, songs) = (request.group.clone(), Songs::read(&data)?);
     let measure = move |on_step: &mut OnStep<'_>| {
         let generator = Generator::load(trained)?;
-        let report = evaluate(&generator, &held_out, &training, settings, &group, on_step)?;
+        let held_out = HeldOut {
+            phrases: &held_out,
+            songs: &songs,
+            beats_per_bar,
+        };
+        let report = evaluate(&generator, held_out, &training, settings, &group, on_step)?;
         let mut results = report.results(&config.sampling);
         if generator.statistics().movement.is_empty() {
             results.remarks.push(format!(
@@ -128,13 +159,15 @@ pub(super) fn prepare<'a>(
 /// sample`. Each process generates the samples of some phrases.
 pub(super) fn evaluate(
     generator: &Generator,
-    held_out: &[Arc<PhraseItem>],
+    held_out: HeldOut<'_>,
     training: &[Arc<PhraseItem>],
     settings: SampleSettings,
     group: &ProcessGroup,
     on_step: &mut OnStep<'_>,
 ) -> Result<EvaluationReport, Error> {
     let SampleSettings { seeds, seed, cond } = settings;
+    let (phases, tracked) = (held_out.phases(), held_out.tracked());
+    let held_out = held_out.phrases;
     let sampling = &generator.config().sampling;
     let samples = for_each_item(group, held_out.len(), on_step, |index, on_step| {
         let phrase = &held_out[index];
@@ -155,12 +188,14 @@ pub(super) fn evaluate(
     let (raw, processed): (Vec<Vec<Phrase>>, Vec<Vec<Phrase>>) = samples.into_iter().unzip();
     let real = held_out.iter().map(|phrase| vec![phrase.motion.clone()]);
     let reference = Reference::new(held_out, training, generator.statistics());
+    let reference = reference.with_phases(phases);
     Ok(EvaluationReport {
         phrases: held_out.len(),
         settings,
         processed: reference.measure(&processed),
         raw: reference.measure(&raw),
         real: reference.measure(&real.collect::<Vec<_>>()),
+        tracked,
     })
 }
 

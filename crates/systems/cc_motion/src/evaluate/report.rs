@@ -1,22 +1,45 @@
 //! The columns of an evaluation of phrases.
 
 use kinegrad_motion::Value;
+use kinegrad_motion::metrics::Estimate;
 use kinegrad_train::config::SamplingConfig;
-use kinegrad_train::evaluation::{Group, Metrics, Number, Results, with_sampling};
+use kinegrad_train::evaluation::{Better, Group, Metrics, Number, Results, with_sampling};
 use serde_json::json;
 
-use super::{EvaluationReport, Measures, SampleSettings};
+use super::hearing::hearing;
+use super::{EvaluationReport, Measures, ProfileRates, SampleSettings};
+use crate::CondSource;
+
+/// The main measures of post-processed samples; the first one also of raw samples.
+const MAIN: [(&str, Better); 6] = [
+    ("strict.pass_rate", Better::Higher),
+    ("beat_phase_error.mean", Better::Lower),
+    ("frechet_held_out", Better::Lower),
+    ("diversity", Better::NearReal),
+    ("movement.path_speed.median", Better::NearReal),
+    ("movement.path_jerk.median", Better::NearReal),
+];
 
 impl EvaluationReport {
     /// The results, without remarks.
     pub(super) fn results(&self, sampling: &SamplingConfig) -> Results {
         let SampleSettings { seeds, cond, .. } = self.settings;
         let groups = |processed: &Measures, raw: &Measures| {
+            let group = |key, title, measures: &Measures, main| Group {
+                key,
+                title,
+                numbers: Number::mark(measures.rows(), main),
+            };
             vec![
-                Group::new("processed", "POST-PROCESSED", processed),
-                Group::new("raw", "RAW", raw),
+                group("processed", "POST-PROCESSED", processed, &MAIN),
+                group("raw", "RAW", raw, &MAIN[..1]),
             ]
         };
+        let mut verdict = vec![self.processed.strict.verdict(&self.real.strict)];
+        if cond == CondSource::Phrases {
+            let error = self.processed.beat_phase_error.as_ref();
+            verdict.extend(error.map(|error| hearing(error, self.tracked.as_ref())));
+        }
         Results {
             json: with_sampling(
                 json!({
@@ -26,6 +49,7 @@ impl EvaluationReport {
                     "processed": self.processed,
                     "raw": self.raw,
                     "real": self.real,
+                    "tracked_beats": self.tracked,
                 }),
                 sampling,
             ),
@@ -35,8 +59,28 @@ impl EvaluationReport {
             ],
             samples: Some(groups(&self.processed, &self.raw)),
             real: groups(&self.real, &self.real),
+            verdict,
             remarks: Vec::new(),
         }
+    }
+}
+
+impl ProfileRates {
+    /// The share of samples within the limits, and the check that fails most often.
+    fn verdict(&self, real: &Self) -> String {
+        let lowest = self.checks.iter();
+        let lowest = lowest.min_by(|a, b| a.pass_rate.total_cmp(&b.pass_rate));
+        let lowest = lowest.filter(|check| check.pass_rate < 1.0);
+        let worst = lowest.map(|check| {
+            let failing = percent(1.0 - check.pass_rate);
+            format!("; {failing} fail {}", check.name)
+        });
+        format!(
+            "{} of the samples are within the limits of `strict` (real: {}){}",
+            percent(self.pass_rate),
+            percent(real.pass_rate),
+            worst.unwrap_or_default()
+        )
     }
 }
 
@@ -70,18 +114,30 @@ impl Metrics for Measures {
             self.frechet_training,
         );
         add("beat_alignment", "beat alignment", 3, self.beat_alignment);
+        let error = self.beat_phase_error;
+        let shown =
+            error.map(|Estimate { mean, low, high }| format!("{mean:.3} ({low:.3} to {high:.3})"));
         add(
             "mean_jerk",
             "mean jerk by the channels, m/s^3",
             1,
             self.mean_jerk,
         );
+        let name = |end: &str| format!("beat_phase_error.{end}");
+        let title = "beat-phase error, beats";
+        let value = error.map(|error| error.mean);
+        rows.push(Number::shown(name("mean"), value, title, shown));
+        rows.push(Number::in_files(name("low"), error.map(|error| error.low)));
+        rows.push(Number::in_files(
+            name("high"),
+            error.map(|error| error.high),
+        ));
         for spread in &self.movement {
             let name = |statistic| format!("movement.{}.{statistic}", spread.name);
             let both = spread.median.zip(spread.p1.zip(spread.p99));
             let shown =
                 both.map(|(median, (p1, p99))| format!("{median:.3} ({p1:.3} to {p99:.3})"));
-            let title = format!("movement: {}, {}", spread.title, spread.unit);
+            let title = format!("{}, {}", spread.title, spread.unit);
             rows.push(Number::shown(name("median"), spread.median, title, shown));
             rows.push(Number::in_files(name("p1"), spread.p1));
             rows.push(Number::in_files(name("p99"), spread.p99));

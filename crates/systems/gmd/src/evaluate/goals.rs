@@ -113,6 +113,7 @@ impl GoalEvaluation<'_> {
             facts: Vec::new(),
             samples: Some(of_samples),
             real: of_real,
+            verdict: Vec::new(),
             remarks,
         })
     }

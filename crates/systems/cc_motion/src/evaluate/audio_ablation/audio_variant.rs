@@ -1,10 +1,8 @@
 //! Audio that replaces a phrase's own music.
 
-use kinegrad_data::AudioFeatures;
+use kinegrad_data::{AudioFeatures, BeatPhrase};
 use kinegrad_random::{Key, Purpose};
 use serde::{Deserialize, Serialize};
-
-use super::beat_phrase::BeatPhrase;
 
 /// A kind of audio condition for samples of a phrase.
 #[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize)]
@@ -57,54 +55,53 @@ pub(super) struct Music {
     pub bars: Option<(Vec<f64>, f64)>,
 }
 
-impl BeatPhrase {
-    /// The music of this phrase's `variant`; the music of another song comes from one of the
-    /// `donors`, if any.
-    pub(super) fn music(
-        &self,
-        variant: AudioVariant,
-        seed: u64,
-        donors: &[BeatPhrase],
-    ) -> Option<Music> {
-        let audio = &self.phrase.audio;
-        let frames = audio.frames();
-        let key = Key::new(seed, Purpose::Listening).named(&self.phrase.id);
-        let with_beats = |of: &BeatPhrase, order: Vec<usize>| Music {
-            audio: of.phrase.audio.at_frames(&order),
-            bars: Some((
-                order.iter().map(|&frame| of.bars[frame]).collect(),
-                of.beats_per_bar,
-            )),
-        };
-        let without_beats = |audio| Music { audio, bars: None };
-        let reordered = |order: Vec<usize>| without_beats(audio.at_frames(&order));
-        Some(match variant {
-            AudioVariant::Own => with_beats(self, (0..frames).collect()),
-            AudioVariant::Silence => without_beats(AudioFeatures::silence(audio.layout(), frames)),
-            AudioVariant::Shuffled => reordered(key.at(0).permutation(frames)),
-            AudioVariant::Reversed => reordered((0..frames).rev().collect()),
-            AudioVariant::HalfBeat => {
-                with_beats(self, half_a_beat_later(&self.beats(), self.beats_per_bar))
-            }
-            AudioVariant::OtherSong => {
-                let other = self.donor(donors, key.at(1))?;
-                let length = other.phrase.frames();
-                with_beats(other, (0..frames).map(|t| t % length).collect())
-            }
-        })
-    }
+/// The music of the phrase's `variant`; the music of another song comes from one of the
+/// `donors`, if any.
+pub(super) fn music(
+    phrase: &BeatPhrase,
+    variant: AudioVariant,
+    seed: u64,
+    donors: &[BeatPhrase],
+) -> Option<Music> {
+    let audio = &phrase.phrase.audio;
+    let frames = audio.frames();
+    let key = Key::new(seed, Purpose::Listening).named(&phrase.phrase.id);
+    let with_beats = |of: &BeatPhrase, order: Vec<usize>| Music {
+        audio: of.phrase.audio.at_frames(&order),
+        bars: Some((
+            order.iter().map(|&frame| of.bars[frame]).collect(),
+            of.beats_per_bar,
+        )),
+    };
+    let without_beats = |audio| Music { audio, bars: None };
+    let reordered = |order: Vec<usize>| without_beats(audio.at_frames(&order));
+    Some(match variant {
+        AudioVariant::Own => with_beats(phrase, (0..frames).collect()),
+        AudioVariant::Silence => without_beats(AudioFeatures::silence(audio.layout(), frames)),
+        AudioVariant::Shuffled => reordered(key.at(0).permutation(frames)),
+        AudioVariant::Reversed => reordered((0..frames).rev().collect()),
+        AudioVariant::HalfBeat => with_beats(
+            phrase,
+            half_a_beat_later(&phrase.beats(), phrase.beats_per_bar),
+        ),
+        AudioVariant::OtherSong => {
+            let other = donor(phrase, donors, key.at(1))?;
+            let length = other.phrase.frames();
+            with_beats(other, (0..frames).map(|t| t % length).collect())
+        }
+    })
+}
 
-    /// One of the `donors` with another song, preferably at least as long as this phrase.
-    fn donor<'a>(&self, donors: &'a [BeatPhrase], key: Key) -> Option<&'a BeatPhrase> {
-        let others: Vec<_> = donors
-            .iter()
-            .filter(|other| other.song != self.song)
-            .collect();
-        let long = |other: &&BeatPhrase| other.phrase.frames() >= self.phrase.frames();
-        let long: Vec<_> = others.iter().copied().filter(long).collect();
-        let among = if long.is_empty() { others } else { long };
-        (!among.is_empty()).then(|| among[key.integers(1, among.len())[0]])
-    }
+/// One of the `donors` with another song, preferably at least as long as the phrase.
+fn donor<'a>(phrase: &BeatPhrase, donors: &'a [BeatPhrase], key: Key) -> Option<&'a BeatPhrase> {
+    let others: Vec<_> = donors
+        .iter()
+        .filter(|other| other.song != phrase.song)
+        .collect();
+    let long = |other: &&BeatPhrase| other.phrase.frames() >= phrase.phrase.frames();
+    let long: Vec<_> = others.iter().copied().filter(long).collect();
+    let among = if long.is_empty() { others } else { long };
+    (!among.is_empty()).then(|| among[key.integers(1, among.len())[0]])
 }
 
 /// The source frame of each frame, for music half a beat ahead: the frame nearest to half a beat
@@ -188,7 +185,7 @@ mod tests {
                 let least = 0.5 - 1.01 * beats_a_frame;
                 assert!(found > least, "frame {t} of {frames}: {found} {least}");
             }
-            let music = own.music(AudioVariant::HalfBeat, 0, &[]).unwrap();
+            let music = music(&own, AudioVariant::HalfBeat, 0, &[]).unwrap();
             let (bars, of_a_bar) = music.bars.unwrap();
             assert_eq!(of_a_bar, beats);
             let found = phase_error(&bars, &own.bars, beats);
@@ -210,30 +207,38 @@ mod tests {
         let own = phrase_of("a", 0, 50, 0.5, 4);
         let audio = &own.phrase.audio;
         for variant in [AudioVariant::Shuffled, AudioVariant::Reversed] {
-            let music = own.music(variant, 5, &[]).unwrap();
+            let music = music(&own, variant, 5, &[]).unwrap();
             assert!(music.bars.is_none());
             assert_ne!(&music.audio, audio);
             assert_eq!(sorted(&music.audio), sorted(audio));
         }
-        let shuffled = |seed| own.music(AudioVariant::Shuffled, seed, &[]).unwrap().audio;
+        let shuffled = |seed| {
+            music(&own, AudioVariant::Shuffled, seed, &[])
+                .unwrap()
+                .audio
+        };
         assert_eq!(shuffled(5), shuffled(5));
         assert_ne!(shuffled(5), shuffled(6));
-        let reversed = own.music(AudioVariant::Reversed, 5, &[]).unwrap().audio;
+        let reversed = music(&own, AudioVariant::Reversed, 5, &[]).unwrap().audio;
         assert_eq!(reversed.channel(7)[0], audio.channel(7)[49]);
-        let silence = own.music(AudioVariant::Silence, 5, &[]).unwrap().audio;
+        let silence = music(&own, AudioVariant::Silence, 5, &[]).unwrap().audio;
         assert_eq!(silence, AudioFeatures::silence(AudioLayout::CCMOTION, 50));
-        assert_eq!(&own.music(AudioVariant::Own, 5, &[]).unwrap().audio, audio);
+        assert_eq!(
+            &music(&own, AudioVariant::Own, 5, &[]).unwrap().audio,
+            audio
+        );
     }
 
     #[test]
     fn another_song_is_never_a_phrase_of_the_same() {
         let own = [phrase_of("a", 0, 50, 0.5, 4), phrase_of("a", 1, 50, 0.5, 4)];
-        assert!(own[0].music(AudioVariant::OtherSong, 0, &own).is_none());
+        assert!(music(&own[0], AudioVariant::OtherSong, 0, &own).is_none());
         let short = phrase_of("b", 2, 40, 0.6, 3);
         let with_short = [own.to_vec(), vec![short.clone()]].concat();
-        let music = own[0]
-            .music(AudioVariant::OtherSong, 0, &with_short)
-            .unwrap();
+        let other = |seed, donors: &[BeatPhrase]| {
+            music(&own[0], AudioVariant::OtherSong, seed, donors).unwrap()
+        };
+        let music = other(0, &with_short);
         // The short donor repeats.
         assert_eq!(music.audio.frames(), 50);
         assert_eq!(music.audio.slice(0..40), short.phrase.audio);
@@ -244,8 +249,7 @@ mod tests {
         let long = phrase_of("c", 3, 60, 0.4, 4);
         let all = [with_short.clone(), vec![long.clone()]].concat();
         for seed in 0..8 {
-            let music = own[0].music(AudioVariant::OtherSong, seed, &all).unwrap();
-            assert_eq!(music.audio, long.phrase.audio.slice(0..50));
+            assert_eq!(other(seed, &all).audio, long.phrase.audio.slice(0..50));
         }
         let training = [long];
         let ids = |chosen: &[BeatPhrase]| chosen[0].phrase.id.clone();

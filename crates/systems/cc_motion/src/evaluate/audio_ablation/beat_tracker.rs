@@ -4,9 +4,9 @@ use std::f64::consts::TAU;
 
 use kinegrad_motion::circular;
 
-use super::BeatPhrase;
 use crate::generate::Generator;
 use crate::network::AudioCondition;
+use kinegrad_data::BeatPhrase;
 
 /// Mean distance in beats between the tracked beat phase and the music's beat phase, over the
 /// frames of a phrase; `None` without a tracker.

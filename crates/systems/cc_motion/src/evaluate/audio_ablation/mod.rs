@@ -2,7 +2,6 @@
 //! with altered music. The differences show the model's use of the beats.
 
 mod audio_variant;
-mod beat_phrase;
 mod beat_tracker;
 mod loss;
 mod means;
@@ -13,7 +12,9 @@ use std::collections::BTreeSet;
 use std::slice::from_ref;
 use std::sync::Arc;
 
-use kinegrad_data::{AudioFeatures, DataConfig, PhraseItem, PhraseSet, Songs};
+use kinegrad_data::{
+    AudioFeatures, BeatAgreement, BeatPhrase, DataConfig, PhraseItem, PhraseSet, Songs,
+};
 use kinegrad_motion::Phrase;
 use kinegrad_settings::counted;
 use kinegrad_train::config::SamplingConfig;
@@ -27,7 +28,6 @@ use crate::generate::{self, Generator, keys};
 use crate::lengths::leading;
 use crate::{CcMotionConfig, EvaluationConfig};
 use audio_variant::{AudioVariant, donors};
-use beat_phrase::BeatPhrase;
 use means::{ALIGNMENTS, Mean, PHASE_ERRORS, means_by_variant};
 use report::AblationReport;
 use scores::{MeasuredCondition, MeasuredPhrase, Score};
@@ -151,14 +151,19 @@ impl<'a> Ablation<'a> {
             self.measure(&held_out[index], on_step)
         })?;
         let guidance = self.guidance(on_step)?;
-        let score = |phrase: &BeatPhrase| phrase.score(from_ref(&phrase.phrase.motion), None, seed);
+        let score = |phrase: &BeatPhrase| {
+            scores::score(phrase, from_ref(&phrase.phrase.motion), None, seed)
+        };
         let real: Vec<Score> = held_out.iter().map(score).collect();
         let songs: BTreeSet<&str> = held_out.iter().map(|one| one.song.as_str()).collect();
         let tracked = measured.iter();
         let tracked =
             tracked.filter_map(|each| Some((each.song.as_str(), each.tracked_beat_error?)));
+        let of_music = held_out.iter();
+        let of_music = of_music.filter_map(|one| Some((one.song.clone(), one.tracked_error()?)));
         Ok(AblationReport {
             songs: songs.len(),
+            tracked_beats: BeatAgreement::of(of_music),
             tracked_beat_error: Mean::of(
                 "tracked_beat_error",
                 "beat-phase error of the network's tracker, beats",
@@ -189,7 +194,12 @@ impl<'a> Ablation<'a> {
         on_step: &mut OnStep<'_>,
     ) -> Result<MeasuredPhrase, Error> {
         let (generator, seed) = (self.generator, self.request.seed);
-        let music = |variant| Some((variant, phrase.music(variant, seed, self.donors)?));
+        let music = |variant| {
+            Some((
+                variant,
+                audio_variant::music(phrase, variant, seed, self.donors)?,
+            ))
+        };
         let variants: Vec<_> = AudioVariant::ALL.into_iter().filter_map(music).collect();
         let audio: Vec<_> = variants.iter().map(|(_, music)| &music.audio).collect();
         let samples = self.sample("samples", phrase, &audio, self.sampling(), on_step)?;
@@ -197,7 +207,7 @@ impl<'a> Ablation<'a> {
         let conditions = conditions.map(|(&(audio, ref music), samples)| MeasuredCondition {
             audio,
             loss: loss::loss(generator, &phrase.phrase, &music.audio),
-            score: phrase.score(samples, music.bars.as_ref(), seed),
+            score: scores::score(phrase, samples, music.bars.as_ref(), seed),
         });
         Ok(MeasuredPhrase {
             id: phrase.phrase.id.clone(),
@@ -229,7 +239,7 @@ impl<'a> Ablation<'a> {
                     let phrase = &held_out[index];
                     let audio = [&phrase.phrase.audio];
                     let samples = self.sample("guidance", phrase, &audio, &sampling, on_step)?;
-                    let score = phrase.score(&samples, None, seed);
+                    let score = scores::score(phrase, &samples, None, seed);
                     Ok((samples, score))
                 },
             )?;

@@ -1,18 +1,22 @@
 //! The report of an ablation of audio.
 
-use kinegrad_train::evaluation::{Group, Metrics, Number, Results, with_sampling};
+use kinegrad_data::BeatAgreement;
+use kinegrad_train::evaluation::{Better, Group, Metrics, Number, Results, with_sampling};
 use serde_json::{Value, json};
 
 use super::audio_variant::AudioVariant;
-use super::means::{Mean, to_json};
+use super::means::{Mean, PHASE_ERRORS, to_json};
 use super::scores::MeasuredPhrase;
 use super::{Ablation, loss};
 use crate::evaluate::Measures;
+use crate::evaluate::hearing::hearing;
 
 /// The numbers of an ablation.
 pub(super) struct AblationReport {
     /// Number of songs of the held-out phrases.
     pub songs: usize,
+    /// Agreement of the phrases' phase with the beats tracked in their music.
+    pub tracked_beats: Option<BeatAgreement>,
     /// Error of the network's beat tracker; the estimate is `None` without a tracker.
     pub tracked_beat_error: Mean,
     /// The means for each audio variant.
@@ -48,8 +52,21 @@ impl AblationReport {
                 },
                 Vec::new(),
             ),
+            verdict: self.verdict(),
             remarks: Vec::new(),
         }
+    }
+
+    /// Whether the samples follow the beat of their own music.
+    fn verdict(&self) -> Vec<String> {
+        let mut own = self.conditions.iter();
+        let own = own.find(|(variant, _)| *variant == AudioVariant::Own);
+        let own = own.and_then(|(_, means)| {
+            let error = means.iter().find(|mean| mean.name == PHASE_ERRORS[0].0);
+            error?.estimate
+        });
+        let own = own.map(|own| hearing(&own, self.tracked_beats.as_ref()));
+        own.into_iter().collect()
     }
 
     fn json(&self, ablation: &Ablation<'_>) -> Value {
@@ -74,6 +91,7 @@ impl AblationReport {
             "seeds": settings.seeds,
             "guidance_scales": settings.guidance_scales,
             "timesteps": loss::high_noise(generator.diffusion.config.num_train_timesteps),
+            "tracked_beats": self.tracked_beats,
             "tracked_beat_error": self.tracked_beat_error.estimate,
             "conditions": conditions.collect::<Vec<_>>(),
             "real": to_json(&self.real),
@@ -109,13 +127,37 @@ fn groups(numbers: impl Fn(AudioVariant) -> Vec<Number>, guidance: Vec<Number>) 
         title,
         numbers,
     };
-    let variants = AudioVariant::ALL.map(|variant| group(variant.names(), numbers(variant)));
+    let variants = AudioVariant::ALL.map(|variant| {
+        let numbers = Number::mark(numbers(variant), main(variant));
+        group(variant.names(), numbers)
+    });
     let guidance = group(("guidance", "GUIDANCE SCALES, OWN MUSIC"), guidance);
     variants.into_iter().chain([guidance]).collect()
 }
 
+/// The main measures of a variant.
+fn main(variant: AudioVariant) -> &'static [(&'static str, Better)] {
+    match variant {
+        AudioVariant::Own => &[
+            ("beat_phase_error.mean", Better::Lower),
+            ("bar_phase_error.mean", Better::Lower),
+            ("tracked_beat_error.mean", Better::Lower),
+            ("peak_alignment.above_chance.mean", Better::NearReal),
+        ],
+        AudioVariant::Silence => &[
+            ("own_minus.loss.mean", Better::Lower),
+            ("own_minus.beat_phase_error.mean", Better::Lower),
+        ],
+        AudioVariant::HalfBeat | AudioVariant::OtherSong => {
+            &[("own_minus.beat_phase_error.mean", Better::Lower)]
+        }
+        AudioVariant::Shuffled | AudioVariant::Reversed => &[],
+    }
+}
+
 /// Names and titles begin with the scale.
 fn guidance_rows((scale, means, measures): &(f64, Vec<Mean>, Measures)) -> Vec<Number> {
+    let main = [("beat_phase_error.mean", Better::Lower)];
     let prefixed = |row: Number| Number {
         name: format!("{scale}.{}", row.name),
         line: row
@@ -123,6 +165,10 @@ fn guidance_rows((scale, means, measures): &(f64, Vec<Mean>, Measures)) -> Vec<N
             .map(|(title, shown)| (format!("{scale}: {title}"), shown)),
         ..row
     };
-    let rows = means.rows().into_iter().chain(measures.rows());
+    // The means have the phase errors.
+    let measures = measures.rows().into_iter();
+    let measures = measures.filter(|row| !row.name.starts_with(PHASE_ERRORS[0].0));
+    let rows = means.rows().into_iter().chain(measures);
+    let rows = Number::mark(rows.collect(), &main).into_iter();
     rows.map(prefixed).collect()
 }

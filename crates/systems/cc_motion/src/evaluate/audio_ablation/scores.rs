@@ -1,5 +1,6 @@
 //! Scores of the samples of a phrase against the beats of its music.
 
+use kinegrad_data::{BeatPhrase, bars};
 use kinegrad_motion::metrics::{
     beat_alignment, chance_alignment, kinematic_beats, phase_error, speed_peaks,
 };
@@ -8,7 +9,6 @@ use kinegrad_random::{Key, Purpose};
 use serde::{Deserialize, Serialize};
 
 use super::audio_variant::AudioVariant;
-use super::beat_phrase::{BeatPhrase, bars};
 
 /// Means over the samples of a phrase and one audio variant. Distances of phases are in cycles, 0
 /// to 0.5; NaN if a sample's phase is not finite.
@@ -33,47 +33,44 @@ pub struct Score {
     pub chance_peak_alignment: Option<f64>,
 }
 
-impl BeatPhrase {
-    /// The score of at least one sample; `condition` has the bar phases and the beats in a bar of
-    /// conditioning music with beats.
-    pub fn score(
-        &self,
-        samples: &[Phrase],
-        condition: Option<&(Vec<f64>, f64)>,
-        seed: u64,
-    ) -> Score {
-        let music = self.beat_times();
-        let mean = |of: &dyn Fn(&Phrase) -> f64| {
-            samples.iter().map(of).sum::<f64>() / samples.len() as f64
-        };
-        let error = |expected: &[f64], cycles: f64| {
-            mean(&|motion| phase_error(&bars(motion), expected, cycles))
-        };
-        let seconds = self.phrase.frames() as f64 / FPS;
-        let key = Key::new(seed, Purpose::BeatOffset).named(&self.phrase.id);
-        let aligned = |moments: fn(&Phrase) -> Vec<f64>| {
-            let both = samples.iter().map(moments).filter_map(|moments| {
-                let score = beat_alignment(&moments, &music)?;
-                Some((score, chance_alignment(&moments, &music, seconds, key)?))
-            });
-            let (scores, chances): (Vec<f64>, Vec<f64>) = both.unzip();
-            [scores, chances].map(|values| {
-                let sum = values.iter().sum::<f64>();
-                (!values.is_empty()).then(|| sum / values.len() as f64)
-            })
-        };
-        let [beat_alignment, chance_alignment] = aligned(kinematic_beats);
-        let [peak_alignment, chance_peak_alignment] = aligned(speed_peaks);
-        Score {
-            beat_phase_error: error(&self.bars, self.beats_per_bar),
-            bar_phase_error: error(&self.bars, 1.0),
-            condition_beat_phase_error: condition.map(|(bars, beats)| error(bars, *beats)),
-            condition_bar_phase_error: condition.map(|(bars, _)| error(bars, 1.0)),
-            beat_alignment,
-            chance_alignment,
-            peak_alignment,
-            chance_peak_alignment,
-        }
+/// The score of at least one sample; `condition` has the bar phases and the beats in a bar of
+/// conditioning music with beats.
+pub fn score(
+    phrase: &BeatPhrase,
+    samples: &[Phrase],
+    condition: Option<&(Vec<f64>, f64)>,
+    seed: u64,
+) -> Score {
+    let music = phrase.beat_times();
+    let mean =
+        |of: &dyn Fn(&Phrase) -> f64| samples.iter().map(of).sum::<f64>() / samples.len() as f64;
+    let error = |expected: &[f64], cycles: f64| {
+        mean(&|motion| phase_error(&bars(motion), expected, cycles))
+    };
+    let seconds = phrase.phrase.frames() as f64 / FPS;
+    let key = Key::new(seed, Purpose::BeatOffset).named(&phrase.phrase.id);
+    let aligned = |moments: fn(&Phrase) -> Vec<f64>| {
+        let both = samples.iter().map(moments).filter_map(|moments| {
+            let score = beat_alignment(&moments, &music)?;
+            Some((score, chance_alignment(&moments, &music, seconds, key)?))
+        });
+        let (scores, chances): (Vec<f64>, Vec<f64>) = both.unzip();
+        [scores, chances].map(|values| {
+            let sum = values.iter().sum::<f64>();
+            (!values.is_empty()).then(|| sum / values.len() as f64)
+        })
+    };
+    let [beat_alignment, chance_alignment] = aligned(kinematic_beats);
+    let [peak_alignment, chance_peak_alignment] = aligned(speed_peaks);
+    Score {
+        beat_phase_error: error(&phrase.bars, phrase.beats_per_bar),
+        bar_phase_error: error(&phrase.bars, 1.0),
+        condition_beat_phase_error: condition.map(|(bars, beats)| error(bars, *beats)),
+        condition_bar_phase_error: condition.map(|(bars, _)| error(bars, 1.0)),
+        beat_alignment,
+        chance_alignment,
+        peak_alignment,
+        chance_peak_alignment,
     }
 }
 
@@ -155,7 +152,7 @@ mod tests {
                     music[t] + beats_late / beats
                 })
             };
-            let score = |motion: Phrase| phrase.score(&[motion], None, 0);
+            let score = |motion: Phrase| super::score(&phrase, &[motion], None, 0);
             assert!(score(shifted(0.0)).beat_phase_error < 1e-6);
             let half = score(shifted(0.5));
             assert!((half.beat_phase_error - 0.5).abs() < 1e-5, "{half:?}");
@@ -173,11 +170,11 @@ mod tests {
             let other = score(moved(&phrase.phrase.motion, |t| 3.1 * t as f64 / FPS));
             assert!((other.beat_phase_error - 0.25).abs() < 0.04, "{other:?}");
             // Two samples: the mean.
-            let both = phrase.score(&[shifted(0.0), shifted(0.5)], None, 0);
+            let both = super::score(&phrase, &[shifted(0.0), shifted(0.5)], None, 0);
             assert!((both.beat_phase_error - 0.25).abs() < 1e-5, "{both:?}");
             // A sample half a beat ahead follows music half a beat ahead.
             let ahead: Vec<f64> = phrase.bars.iter().map(|bar| bar + 0.5 / beats).collect();
-            let conditioned = phrase.score(&[shifted(0.5)], Some(&(ahead, beats)), 0);
+            let conditioned = super::score(&phrase, &[shifted(0.5)], Some(&(ahead, beats)), 0);
             assert!(
                 conditioned.condition_beat_phase_error.unwrap() < 1e-5,
                 "{conditioned:?}"

@@ -2,12 +2,16 @@
 
 use std::sync::Arc;
 
+use kinegrad_audio::Pulse;
+use kinegrad_audio::beats::track_near;
 use kinegrad_audio::pulse::BEAT_FEATURES;
-use kinegrad_data::{AUDIO_CHANNELS, PhraseItem, Songs};
+use kinegrad_motion::metrics::phase_error;
 use kinegrad_motion::motion_measures::phase_steps;
 use kinegrad_motion::phrase::PHASE;
 use kinegrad_motion::quantiles::percentile;
 use kinegrad_motion::{FPS, Phrase, circular};
+
+use crate::{AUDIO_CHANNELS, PhraseItem, Songs};
 
 /// Beats in a bar if the number is neither stated nor measured.
 const COMMON_TIME: f64 = 4.0;
@@ -16,10 +20,13 @@ const COMMON_TIME: f64 = 4.0;
 /// are means over a take, so the tempo of a phrase differs slightly.
 const TOLERANCE: f64 = 0.1;
 
-/// A held-out phrase with beats.
+/// Fewest tracked beats of a phrase.
+const FEWEST_TRACKED: usize = 4;
+
+/// A phrase whose phase channel has beats.
 #[derive(Clone, Debug)]
-pub(super) struct BeatPhrase {
-    /// The phrase, cut to the training length.
+pub struct BeatPhrase {
+    /// The phrase.
     pub phrase: Arc<PhraseItem>,
     /// Its song.
     pub song: String,
@@ -27,7 +34,7 @@ pub(super) struct BeatPhrase {
     pub beats_per_bar: f64,
     /// True if `beats_per_bar` is a guess.
     pub guessed: bool,
-    /// The bar phase of the music in each frame.
+    /// The phase channel: the bar phase of the music in each frame.
     pub bars: Vec<f64>,
 }
 
@@ -82,10 +89,33 @@ impl BeatPhrase {
         };
         (1..beats.len()).filter_map(crossed).collect()
     }
+
+    /// Mean distance, in beats, between the beat phases of `motion` and of the phrase, 0 to 0.5. NaN
+    /// for a phase that is not finite.
+    pub fn phase_error(&self, motion: &Phrase) -> f64 {
+        phase_error(&bars(motion), &self.bars, self.beats_per_bar)
+    }
+
+    /// Mean distance, in beats, between the beats of the phase channel and the beats tracked in the
+    /// music near the tempo of the phase, 0 to 0.5. `None` if the tracker finds fewer than four
+    /// beats, whose distance is too uncertain.
+    pub fn tracked_error(&self) -> Option<f64> {
+        let seconds = (self.bars.len() - 1) as f64 / FPS;
+        let tempo = 60.0 * self.beats().last()? / seconds;
+        let tracked = track_near(self.phrase.audio.onset_strength(), tempo);
+        if tracked.frames.len() < FEWEST_TRACKED {
+            return None;
+        }
+        let pulse = Pulse::tracked(&tracked)?;
+        let positions = (0..self.bars.len()).map(|t| pulse.position(t as f64 / FPS));
+        let beats = self.bars.iter().map(|bar| bar * self.beats_per_bar);
+        let (positions, beats): (Vec<f64>, Vec<f64>) = positions.zip(beats).unzip();
+        Some(phase_error(&positions, &beats, 1.0))
+    }
 }
 
 /// The bar phase in each frame of a motion.
-pub(super) fn bars(motion: &Phrase) -> Vec<f64> {
+pub fn bars(motion: &Phrase) -> Vec<f64> {
     let phase = |t: usize| f64::from(motion.frame(t)[PHASE]);
     (0..motion.frames()).map(phase).collect()
 }
@@ -125,10 +155,8 @@ fn beat_step(phrase: &PhraseItem) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use kinegrad_audio::Pulse;
-    use kinegrad_data::{AudioLayout, synthetic};
-
     use super::*;
+    use crate::{AudioLayout, synthetic};
 
     /// A synthetic phrase with a phase that starts at `start` and advances by `bars` per second.
     fn with_phase(index: usize, frames: usize, start: f64, bars: f64) -> PhraseItem {

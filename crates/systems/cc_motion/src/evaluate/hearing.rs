@@ -1,0 +1,48 @@
+//! The verdict on whether samples follow the beats of their music.
+
+use kinegrad_data::{BeatAgreement, CHANCE};
+use kinegrad_motion::metrics::Estimate;
+
+/// The verdict on samples with this beat-phase error; `tracked` is the agreement of the real phrases
+/// with the beats tracked in their music.
+pub(crate) fn hearing(error: &Estimate, tracked: Option<&BeatAgreement>) -> String {
+    let Estimate { mean, low, high } = error;
+    let found = format!("beat-phase error {mean:.3} ({low:.3} to {high:.3}; by chance {CHANCE})");
+    if *high < CHANCE {
+        return format!("the samples follow the beat: {found}");
+    }
+    let of_data = tracked.filter(|tracked| tracked.is_at_chance());
+    let of_data = of_data.map(|tracked| {
+        format!("; the phase of the real phrases does not follow the tracked beats: {tracked}")
+    });
+    let of_data = of_data.unwrap_or_default();
+    format!("the model does not hear the beat: {found}{of_data}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_model_hears_the_beat_if_its_interval_is_below_chance() {
+        let error = |mean, low, high| Estimate { mean, low, high };
+        let said = |error: Estimate| hearing(&error, None);
+        let heard = said(error(0.11, 0.04, 0.249));
+        assert!(heard.starts_with("the samples follow the beat: beat-phase error 0.110"));
+        let unheard = said(error(0.246, 0.24, 0.26));
+        assert!(
+            unheard.starts_with("the model does not hear the beat"),
+            "{unheard}"
+        );
+        let data = |distance: f64| {
+            let songs = ["a", "a", "b", "b"].map(|song| (song.to_owned(), distance));
+            BeatAgreement::of(songs)
+        };
+        let of_data =
+            "the phase of the real phrases does not follow the tracked beats: 0.300 beats";
+        let both = hearing(&error(0.246, 0.24, 0.26), data(0.3).as_ref());
+        assert!(both.contains(of_data), "{both}");
+        let good = hearing(&error(0.246, 0.24, 0.26), data(0.1).as_ref());
+        assert_eq!(good, unheard);
+    }
+}
