@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use ab_glyph::{Font, FontRef, ScaleFont, point};
+use ab_glyph::{Font, FontRef, GlyphId, ScaleFont, point};
 use plotters::backend::BitMapBackend;
 use plotters::style::text_anchor::{HPos, VPos};
 use plotters::style::{FontStyle, register_font};
@@ -18,12 +18,52 @@ pub(crate) fn register() {
     debug_assert!(registered.is_ok(), "the built-in font is one");
 }
 
-fn font() -> &'static FontRef<'static> {
+/// The font.
+pub(crate) fn font() -> &'static FontRef<'static> {
     static FONT: OnceLock<FontRef<'static>> = OnceLock::new();
     FONT.get_or_init(|| {
         let font = FontRef::try_from_slice(epaint_default_fonts::UBUNTU_LIGHT);
         font.expect("the built-in font is one")
     })
+}
+
+/// Pixels of a unit of the font's outlines.
+pub(crate) fn pixels_per_unit(size: f32) -> f32 {
+    size / font().height_unscaled()
+}
+
+/// The glyphs of a line of text, and where each starts, pixels from the left.
+pub(crate) fn line(text: &str, size: f32) -> Vec<(GlyphId, f32)> {
+    let scaled = font().as_scaled(size);
+    let mut before = None;
+    let mut width = 0.0;
+    let glyphs = text.chars().map(|letter| {
+        let glyph = scaled.glyph_id(letter);
+        width += before.map_or(0.0, |before| scaled.kern(before, glyph));
+        let start = width;
+        width += scaled.h_advance(glyph);
+        before = Some(glyph);
+        (glyph, start)
+    });
+    glyphs.collect()
+}
+
+/// Width of a line of text in pixels.
+pub(crate) fn width(text: &str, size: f32) -> f32 {
+    let end = line(text, size).pop();
+    end.map_or(0.0, |(glyph, start)| {
+        start + font().as_scaled(size).h_advance(glyph)
+    })
+}
+
+/// The text, shortened with dots if it is wider than `most` pixels.
+pub(crate) fn fitting(text: &str, size: f32, most: f32) -> String {
+    let mut shown = text.to_owned();
+    let mut kept = text.to_owned();
+    while width(&shown, size) > most && kept.pop().is_some() {
+        shown = format!("{}…", kept.trim_end());
+    }
+    shown
 }
 
 /// A bitmap whose letters start at fractions of a pixel, after their own space. plotters rounds the
@@ -76,20 +116,8 @@ impl DrawingBackend for Bitmap<'_> {
         style: &S,
         at: BackendCoord,
     ) -> Outcome {
-        let scaled = font().as_scaled(style.size() as f32);
-        let mut before = None;
-        let mut width = 0.0;
-        let starts: Vec<_> = text
-            .chars()
-            .map(|letter| {
-                let glyph = scaled.glyph_id(letter);
-                width += before.map_or(0.0, |before| scaled.kern(before, glyph));
-                let start = width;
-                width += scaled.h_advance(glyph);
-                before = Some(glyph);
-                (glyph, start)
-            })
-            .collect();
+        let size = style.size() as f32;
+        let width = width(text, size);
         let left = at.0 as f32
             - match style.anchor().h_pos {
                 HPos::Left => 0.0,
@@ -102,11 +130,10 @@ impl DrawingBackend for Bitmap<'_> {
             VPos::Center => 0.21,
             VPos::Bottom => -0.21,
         };
-        let baseline = (at.1 as f32 + below * style.size() as f32).round();
+        let baseline = (at.1 as f32 + below * size).round();
         let color = style.color();
-        for (glyph, start) in starts {
-            let place = point(left + start, baseline);
-            let glyph = glyph.with_scale_and_position(scaled.scale(), place);
+        for (glyph, start) in line(text, size) {
+            let glyph = glyph.with_scale_and_position(size, point(left + start, baseline));
             let Some(outline) = font().outline_glyph(glyph) else {
                 continue;
             };

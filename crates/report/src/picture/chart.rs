@@ -18,7 +18,7 @@ use super::panel::{Kind, Panel, Pose};
 const MARGIN: u32 = 8;
 
 /// Height of the labels below the plot, pixels.
-const X_LABELS: u32 = 26;
+const X_LABELS: u32 = 34;
 
 /// Width of the labels left of the plot in pixels, for numbers and for row names.
 const Y_LABELS: u32 = 48;
@@ -89,7 +89,11 @@ pub(super) fn draw_panel<B: DrawingBackend<ErrorType: 'static>>(
         let style = colour(index).stroke_width(stroke);
         // A point that cannot be drawn interrupts the line.
         for line in points.split(|(x, y)| !(can_be_drawn(*x) && can_be_drawn(*y))) {
-            chart.draw_series(LineSeries::new(line.iter().copied(), style))?;
+            match *line {
+                // A line through one point is invisible.
+                [point] => chart.draw_series([Circle::new(point, 3, style.filled())])?,
+                _ => chart.draw_series(LineSeries::new(line.iter().copied(), style))?,
+            };
         }
     }
     if let Kind::Map(_) = panel.kind {

@@ -220,6 +220,49 @@ mod tests {
     }
 
     #[test]
+    fn a_lone_point_is_a_dot() {
+        let blue = |points: Vec<(f64, f64)>| {
+            let panel = Panel::lines("", "step", vec![("loss".into(), points)]);
+            let sheet = [panel];
+            let png = Sheet::new(&sheet, 1, (300, 200)).png().expect("drawn");
+            let mut reader = png::Decoder::new(std::io::Cursor::new(png))
+                .read_info()
+                .expect("a header");
+            let mut rgb = vec![0; reader.output_buffer_size().expect("a size")];
+            reader.next_frame(&mut rgb).expect("pixels");
+            rgb.chunks_exact(3)
+                .filter(|pixel| **pixel == [0x2f, 0x6f, 0xed])
+                .count()
+        };
+        let legend = blue(vec![]);
+        assert!(blue(vec![(3.0, 1.0)]) > legend + 20);
+        let broken = vec![(1.0, 1.0), (2.0, f64::NAN), (3.0, 2.0), (4.0, f64::NAN)];
+        assert!(blue(broken) > legend + 40);
+    }
+
+    #[test]
+    fn the_label_of_an_axis_is_below_its_ticks() {
+        let panel = Panel::lines(
+            "",
+            "step",
+            vec![("loss".into(), vec![(20.0, 0.4), (60.0, 0.8)])],
+        );
+        let svg = svg(&[panel]);
+        let height = |text: &str| -> f64 {
+            let before = svg.split(&format!("\n{text}\n")).next().expect("text");
+            let tag = before.rsplit("<text").next().expect("a tag");
+            let y = tag.split(" y=\"").nth(1).expect("y").split('"').next();
+            y.expect("y").parse().expect("a number")
+        };
+        assert!(
+            height("step") >= height("40") + 11.0,
+            "{} {}",
+            height("step"),
+            height("40")
+        );
+    }
+
+    #[test]
     fn a_wide_panel_has_a_row_for_itself() {
         let panel = || Panel::lines("", "s", Vec::new());
         let wide = Panel {

@@ -162,12 +162,8 @@ class Chart {
       this.trace(context, line, width, y);
     }
     context.setLineDash([]);
-    context.font = `${10 * ratio}px system-ui, sans-serif`;
-    context.fillStyle = colours.muted;
-    context.textBaseline = "top";
-    context.fillText(short(most), 3 * ratio, 2 * ratio);
-    context.textBaseline = "bottom";
-    context.fillText(short(least), 3 * ratio, height - 2 * ratio);
+    outlined(context, short(most), 3 * ratio, 2 * ratio, "top", ratio, colours);
+    outlined(context, short(least), 3 * ratio, height - 2 * ratio, "bottom", ratio, colours);
   }
 
   // If a pixel has many frames, their smallest and largest values are drawn.
@@ -240,15 +236,19 @@ class ContactChart extends Chart {
 }
 
 // The name of a row, at its left.
-const rowLabel = (context, text, middle, ratio, colours) => {
-  context.font = `${10 * ratio}px system-ui, sans-serif`;
-  context.textBaseline = "middle";
+const rowLabel = (context, text, middle, ratio, colours) =>
+  outlined(context, text, 4 * ratio, middle, "middle", ratio, colours);
+
+// Text that is readable over curves.
+const outlined = (context, text, x, y, baseline, ratio, colours) => {
+  context.font = `${11 * ratio}px system-ui, sans-serif`;
+  context.textBaseline = baseline;
   context.fillStyle = colours.ink;
   context.lineWidth = 3 * ratio;
   context.lineJoin = "round";
-  context.strokeStyle = colours.ground;
-  context.strokeText(text, 4 * ratio, middle);
-  context.fillText(text, 4 * ratio, middle);
+  context.strokeStyle = colours.page;
+  context.strokeText(text, x, y);
+  context.fillText(text, x, y);
 };
 
 // Sets the canvas to its size in device pixels, and returns a new context.
