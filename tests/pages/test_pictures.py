@@ -1,6 +1,7 @@
 """GIF and MP4 show what the page shows."""
 
 import array
+import base64
 import subprocess
 
 import pytest
@@ -25,13 +26,14 @@ def pictures(path, width, height):
 
 def stage(page, width, height, frame):
     """RGB rows of the page's stage at a size and a frame."""
-    page.evaluate(f"""(() => {{
+    picture = page.evaluate(f"""(() => {{
       const {{ style }} = {FIRST}.canvas;
       [style.width, style.height] = ["{width}px", "{height}px"];
       {FIRST}.resize();
       {FIRST}.seek({frame});
+      return {FIRST}.canvas.toDataURL();
     }})()""")
-    found = decoded(page.locator(".kg-stage canvas").screenshot())
+    found = decoded(base64.b64decode(picture.split(",")[1]))
     assert found[:2] == (width, height)
     return found[2]
 
@@ -53,20 +55,21 @@ def must_agree(shown, drawn, what):
     assert off < 0.02, what
 
 
-@pytest.fixture
-def materials(kinegrad, tmp_path):
+@pytest.fixture(scope="module")
+def materials(kinegrad, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pictures")
     body = walk(60)
     giant = array.array("f", (2.1 * value for value in walk(60, seed=1)))
-    write_npy(tmp_path / "body.npy", (60, 22, 3), body)
-    write_npy(tmp_path / "giant.npy", (60, 22, 3), giant)
-    (tmp_path / "goal.toml").write_text(
+    write_npy(folder / "body.npy", (60, 22, 3), body)
+    write_npy(folder / "giant.npy", (60, 22, 3), giant)
+    (folder / "goal.toml").write_text(
         "frames = 60\n[[keyframe]]\nframe = 30\nx = 2.4\nz = 0.4\n[[keyframe]]\nframe = 59\nx = 2.3\nz = 0.8\n"
         '[[obstacle]]\nkind = "disc"\nx = 1.5\nz = 0.5\nradius = 0.3\n'
         '[[obstacle]]\nkind = "polygon"\nvertices = [[3.0, 0.0], [3.5, 0.0], [3.2, 0.6]]\n')
-    kinegrad("data", "synth", "--out", "data", "--phrases", 1, "--frames", 90, cwd=tmp_path)
-    phrase = next((tmp_path / "data" / "motion").rglob("trajectory.npy"))
-    phrase.rename(tmp_path / "phrase.npy")
-    return tmp_path
+    kinegrad("data", "synth", "--out", "data", "--phrases", 1, "--frames", 90, cwd=folder)
+    phrase = next((folder / "data" / "motion").rglob("trajectory.npy"))
+    phrase.rename(folder / "phrase.npy")
+    return folder
 
 
 @pytest.mark.parametrize("words, size, rate", [
@@ -76,7 +79,7 @@ def materials(kinegrad, tmp_path):
     (["body.npy", "giant.npy"], (640, 340), 20),
 ])
 def test_a_gif_shows_what_the_page_shows(kinegrad, show, materials, words, size, rate):
-    kinegrad("view", *words, "--out", "page.html", "--gif", "page.gif", cwd=materials)
+    kinegrad("view", *words, "--out", "page.html", "--gif", "page.gif", "--overwrite", cwd=materials)
     drawn = pictures(materials / "page.gif", *size)
     page = show(materials / "page.html", color_scheme="light")
     for picture in (0, 20, 38):
@@ -93,7 +96,7 @@ def halved(rows):
 
 
 def test_a_video_shows_what_the_page_shows_at_twice_the_size(kinegrad, show, materials):
-    kinegrad("view", "phrase.npy", "--out", "page.html", "--mp4", "page.mp4", cwd=materials)
+    kinegrad("view", "phrase.npy", "--out", "page.html", "--mp4", "page.mp4", "--overwrite", cwd=materials)
     drawn = pictures(materials / "page.mp4", 800, 720)
     page = show(materials / "page.html", color_scheme="light")
     must_agree(stage(page, 400, 360, 30), halved(drawn[30]), "video")
