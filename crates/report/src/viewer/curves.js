@@ -55,7 +55,7 @@ class Chart {
     this.cursor = element("div", { class: "kg-cursor" });
     const area = element("div", { class: "kg-area" });
     area.append(this.canvas, this.cursor);
-    this.element.append(caption, area, this.legend());
+    this.element.append(caption, this.rows ? besideNames(this.rows, area) : area, this.legend());
     this.seek = seek;
     const pickAt = ({ clientX, clientY }) => {
       const { left, top, width, height } = area.getBoundingClientRect();
@@ -220,24 +220,27 @@ class ContactChart extends Chart {
   }
 
   draw(colours) {
-    const [width, height, context, ratio] = sized(this.canvas);
+    const [width, height, context] = sized(this.canvas);
     timeLines(context, width, height, this.scene, colours);
     const step = height / this.rows.length;
     const [start, end] = this.scene.range;
-    this.rows.forEach(({ label, figure, fps, ranges }, row) => {
+    this.rows.forEach(({ figure, fps, ranges }, row) => {
       context.fillStyle = colourOf(figure);
       const scale = width / ((end - start) * fps);
       for (const [from, to] of ranges) {
         context.fillRect((from - start * fps) * scale, row * step + 0.15 * step, (to - from) * scale, 0.7 * step);
       }
-      rowLabel(context, label, (row + 0.5) * step, ratio, colours);
     });
   }
 }
 
-// The name of a row, at its left.
-const rowLabel = (context, text, middle, ratio, colours) =>
-  outlined(context, text, 4 * ratio, middle, "middle", ratio, colours);
+// The names of rows, left of their area.
+const besideNames = (rows, area) => {
+  const [both, names] = [element("div", { class: "kg-rows" }), element("ul", { class: "kg-names" })];
+  names.append(...rows.map(({ label }) => element("li", { title: label }, label)));
+  both.append(names, area);
+  return both;
+};
 
 // Text that is readable over curves.
 const outlined = (context, text, x, y, baseline, ratio, colours) => {

@@ -33,7 +33,7 @@ class OriginChart extends Chart {
     const rows = originated(scene).flatMap((own) =>
       own.parts.map(({ name, runs }) => ({ ...own, runs, label: several ? `${own.name}: ${name}` : name })),
     );
-    super({ title: "place in the examples that each moment comes from", names: [], lines: [], rows }, scene, seek);
+    super({ title: "source frame of each part", names: [], lines: [], rows }, scene, seek);
     this.canvas.style.height = `${Math.max(40, 24 * rows.length)}px`;
   }
 
@@ -45,7 +45,7 @@ class OriginChart extends Chart {
     const [width, height, context, ratio] = sized(this.canvas);
     const step = height / this.rows.length;
     const [begin, end] = this.scene.range;
-    this.rows.forEach(({ label, runs, fps, examples, colour }, row) => {
+    this.rows.forEach(({ runs, fps, examples, colour }, row) => {
       const scale = width / ((end - begin) * fps);
       const [top, tall] = [(row + 0.08) * step, 0.84 * step];
       for (const [start, example, first, frames] of runs) {
@@ -60,7 +60,6 @@ class OriginChart extends Chart {
         context.lineTo(to, y(first + frames));
         context.stroke();
       }
-      rowLabel(context, label, (row + 0.5) * step, ratio, colours);
     });
   }
 }
@@ -79,7 +78,7 @@ class ExampleChart extends Chart {
       })),
     );
     const longest = Math.max(...rows.map(({ frames }) => frames));
-    const chart = { title: "frames of the examples that appear", names: [], lines: [], rows, longest };
+    const chart = { title: "source frames in the examples", names: [], lines: [], rows, longest };
     super(chart, scene, seek);
     this.canvas.setAttribute("aria-label", this.title);
     this.canvas.style.height = `${Math.max(40, 18 * rows.length)}px`;
@@ -106,9 +105,9 @@ class ExampleChart extends Chart {
   }
 
   draw(colours) {
-    const [width, height, context, ratio] = sized(this.canvas);
+    const [width, height, context] = sized(this.canvas);
     const [step, scale] = [height / this.rows.length, width / this.longest];
-    this.rows.forEach(({ label, parts, example, frames, colour }, row) => {
+    this.rows.forEach(({ parts, example, frames, colour }, row) => {
       const [top, tall] = [(row + 0.1) * step, 0.8 * step];
       context.fillStyle = colours.muted;
       context.globalAlpha = 0.25;
@@ -119,7 +118,6 @@ class ExampleChart extends Chart {
         const ends = [colour(example, first), colour(example, first + count)];
         fillRun(context, first * scale, (first + count) * scale, top, tall, ...ends);
       }
-      rowLabel(context, label, (row + 0.5) * step, ratio, colours);
     });
   }
 
