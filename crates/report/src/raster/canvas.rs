@@ -71,6 +71,7 @@ pub(super) enum Ends {
 }
 
 /// An opaque picture that paths are drawn on.
+#[derive(Clone)]
 pub(super) struct Canvas(Pixmap);
 
 impl Canvas {

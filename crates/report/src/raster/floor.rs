@@ -1,5 +1,9 @@
 //! Marks on the floor.
 
+use std::ops::Range;
+
+use tiny_skia::Path;
+
 use super::canvas::{Canvas, Ends, Ink, area, lines};
 use crate::drawing::{Color, DRAWING, Stage, View};
 use crate::scene::SceneObject;
@@ -46,8 +50,16 @@ impl Ground<'_> {
         );
     }
 
-    /// The root trajectory, faint, and its last seconds.
-    pub fn trail(
+    /// The root trajectory, faint.
+    pub fn trail(&self, canvas: &mut Canvas, object: &SceneObject, root: usize, color: Color) {
+        let table = &DRAWING.trail;
+        let path = self.course(object, root, 0..object.frames() - 1, table.points);
+        let ink = Ink(color, table.opacity);
+        canvas.stroke(path.as_ref(), table.width * self.scale, Ends::Bent, ink);
+    }
+
+    /// The last seconds of the root trajectory.
+    pub fn recent_trail(
         &self,
         canvas: &mut Canvas,
         object: &SceneObject,
@@ -56,36 +68,32 @@ impl Ground<'_> {
         color: Color,
     ) {
         let table = &DRAWING.trail;
-        let mut line = |from: usize, to: usize, most: usize, width: f64, opacity: f64| {
-            let step = (to - from).div_ceil(most).max(1);
-            let frames = (from..to).step_by(step).chain([to]);
-            let points = frames.map(|frame| {
-                let [x, _, z] = object.joint(frame, root).map(f64::from);
-                [x, self.level, z]
-            });
-            let path = lines(self.view, [points]);
-            canvas.stroke(
-                path.as_ref(),
-                width * self.scale,
-                Ends::Bent,
-                Ink(color, opacity),
-            );
-        };
-        line(
-            0,
-            object.frames() - 1,
-            table.points,
-            table.width,
-            table.opacity,
+        let from = frame.saturating_sub((table.recent_seconds * object.fps).round() as usize);
+        let path = self.course(object, root, from..frame, table.recent_points);
+        let ink = Ink(color, table.recent_opacity);
+        canvas.stroke(
+            path.as_ref(),
+            table.recent_width * self.scale,
+            Ends::Bent,
+            ink,
         );
-        let recent = frame.saturating_sub((table.recent_seconds * object.fps).round() as usize);
-        line(
-            recent,
-            frame,
-            table.recent_points,
-            table.recent_width,
-            table.recent_opacity,
-        );
+    }
+
+    /// The root trajectory from the first frame of a range to its end, of about `most` points.
+    fn course(
+        &self,
+        object: &SceneObject,
+        root: usize,
+        frames: Range<usize>,
+        most: usize,
+    ) -> Option<Path> {
+        let step = frames.len().div_ceil(most).max(1);
+        let last = frames.end;
+        let points = frames.step_by(step).chain([last]).map(|frame| {
+            let [x, _, z] = object.joint(frame, root).map(f64::from);
+            [x, self.level, z]
+        });
+        lines(self.view, [points])
     }
 
     /// The goal; key frames near `frame` are highlighted.

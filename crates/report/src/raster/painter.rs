@@ -3,7 +3,7 @@
 use super::canvas::{Canvas, Image, rectangle};
 use super::figure;
 use super::floor::Ground;
-use crate::drawing::{DRAWING, Stage};
+use crate::drawing::{DRAWING, Stage, View};
 use crate::scene::Scene;
 
 /// A scene in pictures of one size.
@@ -12,16 +12,47 @@ pub(crate) struct Painter<'a> {
     size: (u32, u32),
     /// Pixels of a line of width 1.
     scale: f64,
+    /// What never changes in each pane, if the cameras are at rest.
+    still: Vec<Canvas>,
 }
 
 impl<'a> Painter<'a> {
     /// Prepares pictures of `size` pixels, with lines and text `scale` times as large as on a page.
     pub fn new(scene: &'a Scene, size: (u32, u32), scale: f64) -> Self {
-        Self {
+        let mut painter = Self {
             stage: Stage::new(scene, [size.0, size.1], scale),
             size,
             scale,
+            still: Vec::new(),
+        };
+        if !painter.stage.follows {
+            let views = painter.stage.views(0.0);
+            let still = views
+                .iter()
+                .enumerate()
+                .map(|(index, view)| painter.still(index, view));
+            painter.still = still.collect();
         }
+        painter
+    }
+
+    fn ground<'b>(&'b self, index: usize, view: &'b View) -> Ground<'b> {
+        Ground {
+            stage: &self.stage,
+            view,
+            level: self.stage.panes[index].ground,
+            scale: self.scale,
+        }
+    }
+
+    /// The grid and the root trajectory in a pane.
+    fn still(&self, index: usize, view: &View) -> Canvas {
+        let (object, root) = (self.stage.objects[index], self.stage.figures[index].root);
+        let ground = self.ground(index, view);
+        let mut canvas = Canvas::filled(self.stage.panes[index].size, DRAWING.light.stage);
+        ground.grid(&mut canvas);
+        ground.trail(&mut canvas, object, root, DRAWING.color_of(index));
+        canvas
     }
 
     /// The scene at a time.
@@ -40,16 +71,11 @@ impl<'a> Painter<'a> {
         for (index, view) in stage.views(seconds).iter().enumerate() {
             let (object, pane) = (stage.objects[index], &stage.panes[index]);
             let (figure, color) = (&stage.figures[index], DRAWING.color_of(index));
-            let ground = Ground {
-                stage,
-                view,
-                level: pane.ground,
-                scale: self.scale,
-            };
+            let ground = self.ground(index, view);
             let (frame, _) = object.place(seconds);
-            let mut canvas = Canvas::filled(pane.size, DRAWING.light.stage);
-            ground.grid(&mut canvas);
-            ground.trail(&mut canvas, object, figure.root, frame, color);
+            let still = self.still.get(index).cloned();
+            let mut canvas = still.unwrap_or_else(|| self.still(index, view));
+            ground.recent_trail(&mut canvas, object, figure.root, frame, color);
             ground.goal(&mut canvas, goal_frame);
             let contacts = object.contacts.iter();
             let contacts = contacts.filter(|contact| contact.frames.get(frame) == Some(&true));
