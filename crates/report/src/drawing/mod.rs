@@ -91,7 +91,7 @@ groups! {
         ring_width: f64,
         near_ring_width: f64,
     }
-    /// The shadow of a body.
+    /// Shadows.
     Shadow { width: f64, opacity: f64 }
     /// Bones.
     Bone {
@@ -117,7 +117,6 @@ groups! {
         sides: usize,
         ball: f64,
         shadow: f64,
-        shadow_opacity: f64,
         line: f64,
         light: [f64; 3],
         lighter: f64,
@@ -146,6 +145,7 @@ groups! {
         goal: Color,
         obstacle: Color,
         accent: Color,
+        shadow: Color,
     }
 }
 
@@ -171,6 +171,7 @@ impl Theme {
             ("goal", self.goal),
             ("obstacle", self.obstacle),
             ("accent", self.accent),
+            ("shadow", self.shadow),
         ];
         let variables =
             colors.map(|(name, Color([r, g, b]))| format!("--kg-{name}: #{r:02x}{g:02x}{b:02x};"));

@@ -72,7 +72,7 @@ fn shadow(canvas: &mut Canvas, ground: &Ground<'_>, figure: &Figure, joints: &[[
     let bones = bones.map(|bone| [flat(bone.parent), flat(bone.joint)]);
     let (view, table) = (ground.view, &DRAWING.shadow);
     let width = (table.width * figure.height * view.scale / view.far).max(ground.scale);
-    let ink = Ink(DRAWING.light.ink, table.opacity);
+    let ink = Ink(DRAWING.light.shadow, table.opacity);
     canvas.stroke(lines(view, bones).as_ref(), width, Ends::Round, ink);
 }
 

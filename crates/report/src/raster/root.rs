@@ -36,7 +36,7 @@ pub(super) fn draw(
         return;
     }
     let shadow = area(view, ground.circle([at[0], at[2]], table.shadow));
-    canvas.fill(shadow.as_ref(), Ink(theme.ink, table.shadow_opacity));
+    canvas.fill(shadow.as_ref(), Ink(theme.shadow, DRAWING.shadow.opacity));
     let down = lines(view, [[at, [at[0], ground.level, at[2]]]]);
     canvas.stroke(
         down.as_ref(),

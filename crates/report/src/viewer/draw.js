@@ -46,6 +46,7 @@ class Painter {
     this.ground = read("--kg-stage");
     this.grid = read("--kg-grid");
     this.muted = read("--kg-muted");
+    this.shade = read("--kg-shadow");
     this.contact = read("--kg-contact");
     this.goal = read("--kg-goal");
     this.obstacle = read("--kg-obstacle");
@@ -277,7 +278,7 @@ class Painter {
     for (const { parent, joint } of bones) this.line([flat(parent), flat(joint)]);
     context.lineCap = "round";
     context.lineWidth = Math.max(ratio, (DRAWING.shadow.width * figure.height * view.scale) / view.far);
-    context.strokeStyle = this.ink;
+    context.strokeStyle = this.shade;
     context.globalAlpha = DRAWING.shadow.opacity;
     context.stroke();
     context.globalAlpha = 1;
@@ -360,8 +361,8 @@ class Painter {
     if (depth < view.near) return;
     const foot = [at[0], this.level, at[2]];
     this.area(this.circle([at[0], at[2]], table.shadow));
-    context.globalAlpha = table.shadow_opacity;
-    context.fillStyle = this.ink;
+    context.globalAlpha = DRAWING.shadow.opacity;
+    context.fillStyle = this.shade;
     context.fill();
     context.globalAlpha = 1;
     context.beginPath();

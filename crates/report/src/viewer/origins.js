@@ -14,11 +14,13 @@ const originated = (scene) =>
     return [{ ...figure.origins, figure: index, fps: figure.fps, name: figure.name, colour }];
   });
 
-// A run of consecutive frames of an example, from colour to colour.
-const fillRun = (context, from, to, top, height, first, last) => {
+// Stops of a gradient: between two of them, colours pass through no other hue.
+const STOPS = 16;
+
+// A run of consecutive frames of an example; `colour` returns the colour of a part of it.
+const fillRun = (context, from, to, top, height, colour) => {
   const gradient = context.createLinearGradient(from, 0, Math.max(to, from + 1), 0);
-  gradient.addColorStop(0, first);
-  gradient.addColorStop(1, last);
+  for (let stop = 0; stop <= STOPS; stop++) gradient.addColorStop(stop / STOPS, colour(stop / STOPS));
   context.fillStyle = gradient;
   context.fillRect(from, top, Math.max(1, to - from), height);
 };
@@ -51,7 +53,7 @@ class OriginChart extends Chart {
       for (const [start, example, first, frames] of runs) {
         const [from, to] = [start, start + frames].map((frame) => (frame - begin * fps) * scale);
         if (to < 0 || from > width) continue;
-        fillRun(context, from, to, top, tall, colour(example, first), colour(example, first + frames));
+        fillRun(context, from, to, top, tall, (part) => colour(example, first + part * frames));
         const y = (frame) => top + tall * (1 - frame / examples[example].frames);
         context.strokeStyle = colours.ink;
         context.lineWidth = ratio;
@@ -115,8 +117,8 @@ class ExampleChart extends Chart {
       context.globalAlpha = 1;
       for (const [, from, first, count] of parts.flatMap(({ runs }) => runs)) {
         if (from !== example) continue;
-        const ends = [colour(example, first), colour(example, first + count)];
-        fillRun(context, first * scale, (first + count) * scale, top, tall, ...ends);
+        const own = (part) => colour(example, first + part * count);
+        fillRun(context, first * scale, (first + count) * scale, top, tall, own);
       }
     });
   }
