@@ -401,6 +401,17 @@ def test_contacts_name_their_figure_and_joint(kinegrad, show, tmp_path):
     labels = f"{FIRST}.charts[0].rows.map(({{ label }}) => label)"
     assert show(tmp_path / "page.html").evaluate(labels)[::4] == ["one: left_ankle", "two: left_ankle"]
     assert show(tmp_path / "one.html").evaluate(labels)[0] == "left_ankle"
+    # Names stand beside the bars of their rows.
+    for width in (1280, 400):
+        page = show(tmp_path / "page.html", width=width)
+        area = page.locator(".kg-rows .kg-area").bounding_box()
+        assert area["width"] > 150
+        names = [name.bounding_box() for name in page.locator(".kg-names li").all()]
+        assert len(names) == 8
+        for row, name in enumerate(names):
+            assert name["x"] + name["width"] <= area["x"]
+            middle = area["y"] + area["height"] * (row + 0.5) / 8
+            assert name["y"] + name["height"] / 2 == pytest.approx(middle, abs=3)
 
 
 def test_curves_of_a_long_motion_show_a_window_around_the_cursor(kinegrad, show, tmp_path):

@@ -64,12 +64,12 @@ impl View {
 
     /// Right, up and depth of a point.
     pub fn seen(&self, point: [f64; 3]) -> [f64; 3] {
-        let from_eye = self.from_eye(point);
-        self.axes.map(|axis| dot(axis, from_eye))
+        let eye_to = self.eye_to(point);
+        self.axes.map(|axis| dot(axis, eye_to))
     }
 
     /// The vector from the eye to a point.
-    pub fn from_eye(&self, point: [f64; 3]) -> [f64; 3] {
+    pub fn eye_to(&self, point: [f64; 3]) -> [f64; 3] {
         [0, 1, 2].map(|axis| point[axis] - self.eye[axis])
     }
 

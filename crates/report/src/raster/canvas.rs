@@ -274,7 +274,7 @@ mod tests {
     fn lines_end_before_the_camera() {
         let view = View::new([0.0, 1.0, 0.0], 5.0, [200, 200]);
         let target = [0.0, 1.0, 0.0];
-        let behind = view.from_eye(target).map(|value| -2.0 * value);
+        let behind = view.eye_to(target).map(|value| -2.0 * value);
         assert!(!view.shows(view.seen(behind)));
         let path = lines(&view, [[target, behind]]).expect("a part is before the camera");
         assert!(path.bounds().width().is_finite());

@@ -92,7 +92,7 @@ enum Part {
 fn in_order(world: impl Fn([f64; 3]) -> [f64; 3], at: [f64; 3], view: &View) -> [Part; 3] {
     let front = world([0.0, 0.0, 1.0]);
     let front = [0, 1, 2].map(|axis| front[axis] - at[axis]);
-    let towards = -dot(front, view.from_eye(at));
+    let towards = -dot(front, view.eye_to(at));
     match towards {
         _ if towards < shaft_ends()[0] => [Part::Head, Part::Shaft, Part::Body],
         _ if towards < shaft_ends()[1] => [Part::Body, Part::Head, Part::Shaft],
@@ -153,7 +153,7 @@ fn solid(
     let table = &DRAWING.root;
     let along = |point: usize| [0, 1, 2].map(|axis| points[point][axis] - points[0][axis]);
     let normal = cross(along(1), along(2));
-    if dot(normal, view.from_eye(points[0])) >= 0.0 {
+    if dot(normal, view.eye_to(points[0])) >= 0.0 {
         return None;
     }
     let light = dot(table.light, normal) / dot(normal, normal).sqrt();

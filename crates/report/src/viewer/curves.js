@@ -163,6 +163,7 @@ class Chart {
     }
     context.setLineDash([]);
     outlined(context, short(most), 3 * ratio, 2 * ratio, "top", ratio, colours);
+    if (short(least) === short(most)) return;
     outlined(context, short(least), 3 * ratio, height - 2 * ratio, "bottom", ratio, colours);
   }
 
