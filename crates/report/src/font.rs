@@ -1,4 +1,4 @@
-//! The font of pictures, and bitmaps with its letters.
+//! The font of pictures, and bitmaps with its letters and smooth lines.
 
 use std::sync::OnceLock;
 
@@ -9,6 +9,7 @@ use plotters::style::{FontStyle, register_font};
 use plotters_backend::{
     BackendColor, BackendCoord, BackendStyle, BackendTextStyle, DrawingBackend, DrawingErrorKind,
 };
+use tiny_skia::{FillRule, LineJoin, Mask, PathBuilder, Stroke, Transform};
 
 /// Registers a built-in font, so that pictures are equal on every machine. Repeated calls are
 /// harmless.
@@ -66,8 +67,9 @@ pub(crate) fn fitting(text: &str, size: f32, most: f32) -> String {
     shown
 }
 
-/// A bitmap whose letters start at fractions of a pixel, after their own space. plotters rounds the
-/// position of each letter down and omits that space.
+/// A bitmap with smooth lines, whose letters start at fractions of a pixel, after their own space.
+/// Lines of plotters have gaps and spikes; it rounds the position of each letter down and omits that
+/// space.
 pub(crate) struct Bitmap<'a>(pub BitMapBackend<'a>);
 
 type Outcome = Result<(), DrawingErrorKind<<BitMapBackend<'static> as DrawingBackend>::ErrorType>>;
@@ -108,6 +110,45 @@ impl DrawingBackend for Bitmap<'_> {
         fill: bool,
     ) -> Outcome {
         self.0.draw_rect(a, b, style, fill)
+    }
+
+    fn draw_path<S: BackendStyle, I: IntoIterator<Item = BackendCoord>>(
+        &mut self,
+        path: I,
+        style: &S,
+    ) -> Outcome {
+        let mut builder = PathBuilder::new();
+        for (x, y) in path {
+            // The middle of the pixel.
+            let [x, y] = [x, y].map(|value| value as f32 + 0.5);
+            match builder.is_empty() {
+                true => builder.move_to(x, y),
+                false => builder.line_to(x, y),
+            }
+        }
+        let stroke = Stroke {
+            width: style.stroke_width() as f32,
+            line_join: LineJoin::Round,
+            ..Stroke::default()
+        };
+        let outline = builder.finish().and_then(|path| path.stroke(&stroke, 1.0));
+        let (width, height) = self.get_size();
+        let (Some(outline), Some(mut mask)) = (outline, Mask::new(width, height)) else {
+            return Ok(());
+        };
+        mask.fill_path(&outline, FillRule::Winding, true, Transform::identity());
+        let color = style.color();
+        for (at, coverage) in mask
+            .data()
+            .iter()
+            .enumerate()
+            .filter(|(_, covered)| **covered > 0)
+        {
+            let alpha = color.alpha * f64::from(*coverage) / 255.0;
+            let place = ((at % width as usize) as i32, (at / width as usize) as i32);
+            self.draw_pixel(place, BackendColor { alpha, ..color })?;
+        }
+        Ok(())
     }
 
     fn draw_text<S: BackendTextStyle>(
