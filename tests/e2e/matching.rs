@@ -97,6 +97,8 @@ fn a_motion_is_written_with_its_record_and_not_over_another() {
         .succeeded();
     assert_eq!(said.stdout, "new/one.bvh\nnew/one.json\nnew/one.svg\n");
     assert!(said.stderr.contains("coverage"), "{}", said.stderr);
+    let last = said.stderr.lines().last();
+    assert_eq!(last, Some("to play: kinegrad view new/one.bvh"));
     let read = |name: &str| fs::read_to_string(sandbox.path(name)).expect("written");
     let (new, example) = (read("new/one.bvh"), walk(300));
     let ((hierarchy, frames), (of_example, _)) = (head(&new), head(&example));

@@ -29,6 +29,8 @@ fn a_record_says_how_a_sample_was_made_and_makes_it_again() {
         .run("sample runs/smallest --out d --steps 3 --seed 7 --guidance-scale 1.5")
         .succeeded();
     assert_eq!(drawn.stdout, "d.npy\nd.raw.npy\nd.json\n");
+    let last = drawn.stderr.lines().last();
+    assert_eq!(last, Some("to play: kinegrad view d.npy"));
     let record = record(&sandbox, "d.json");
     let phrase = record["condition"]["item"]["id"]
         .as_str()

@@ -73,10 +73,10 @@ const MIXAMO: [(&str, &str); 22] = [
 #[test]
 fn a_walk_follows_paths_of_every_kind() {
     let sandbox = sandbox();
-    let warp = |arguments: &str| {
-        sandbox.run(&format!("warp {arguments}")).succeeded();
-    };
-    warp("walk.features.npy --path line.toml --out line");
+    let warp = |arguments: &str| sandbox.run(&format!("warp {arguments}")).succeeded();
+    let said = warp("walk.features.npy --path line.toml --out line");
+    let last = said.stderr.lines().last();
+    assert_eq!(last, Some("to play: kinegrad view line.npy"));
     let walked = frames(&sandbox, "line.npy");
     let (first, last) = (walked[0][0], walked[walked.len() - 1][0]);
     assert!((first[0] - 1.0).abs() < 1e-4 && (first[2] - 1.0).abs() < 1e-4);

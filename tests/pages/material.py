@@ -1,10 +1,11 @@
-"""Motions and songs for the pages, and their contents, computed without kinegrad."""
+"""Motions and songs for the pages, and their contents, computed without kinegrad; pictures."""
 
 import array
 import ast
 import math
 import struct
 import wave
+import zlib
 
 
 def write_npy(path, shape, values):
@@ -42,6 +43,42 @@ def write_song(path, seconds, tempo=120):
         song.setsampwidth(2)
         song.setframerate(rate)
         song.writeframes(samples.tobytes())
+
+
+def decoded(png):
+    """Width, height and RGB rows of an 8-bit PNG without interlacing."""
+    at, data, header = 8, b"", None
+    while at < len(png):
+        size, kind = int.from_bytes(png[at:at + 4], "big"), png[at + 4:at + 8]
+        body = png[at + 8:at + 8 + size]
+        header = body if kind == b"IHDR" else header
+        data += body if kind == b"IDAT" else b""
+        at += 12 + size
+    width, height = int.from_bytes(header[:4], "big"), int.from_bytes(header[4:8], "big")
+    bytes_per_pixel = {2: 3, 6: 4}[header[9]]
+    raw, stride = zlib.decompress(data), width * bytes_per_pixel
+    rows, before = [], bytearray(stride)
+    for y in range(height):
+        kind = raw[y * (stride + 1)]
+        row = bytearray(raw[y * (stride + 1) + 1:(y + 1) * (stride + 1)])
+        for x in range(stride):
+            left = row[x - bytes_per_pixel] if x >= bytes_per_pixel else 0
+            up = before[x]
+            corner = before[x - bytes_per_pixel] if x >= bytes_per_pixel else 0
+            if kind == 1:
+                row[x] = (row[x] + left) & 255
+            elif kind == 2:
+                row[x] = (row[x] + up) & 255
+            elif kind == 3:
+                row[x] = (row[x] + (left + up) // 2) & 255
+            elif kind == 4:
+                guess = left + up - corner
+                nearest = min((left, up, corner), key=lambda value: abs(guess - value))
+                row[x] = (row[x] + nearest) & 255
+        rows.append(row)
+        before = row
+    return width, height, [[tuple(row[x * bytes_per_pixel:x * bytes_per_pixel + 3])
+                            for x in range(width)] for row in rows]
 
 
 def walk(frames, joints=22, seed=0):

@@ -39,7 +39,7 @@ def test_parts_and_examples_have_charts_with_cursors_that_follow(matched, show):
     record = json.loads((matched / "new.json").read_text())
     page = show(matched / "new.html")
     titles = page.locator("figcaption").all_text_contents()
-    assert titles[:2] == ["place in the examples that each moment comes from", "frames of the examples that appear"]
+    assert titles[:2] == ["source frame of each part", "source frames in the examples"]
     shown = page.evaluate(f"{FIRST}.scene.figures[0].origins")
     assert [part["name"] for part in shown["parts"]] == [part["name"] for part in record["parts"]]
     assert [part["runs"] for part in shown["parts"]] == [part["runs"] for part in record["parts"]]
@@ -89,4 +89,4 @@ def test_a_motion_without_its_record_has_none(matched, kinegrad, show):
     (matched / "new.bvh").rename(matched / "alone.bvh")
     kinegrad("view", "alone.bvh", "--units", "cm", "--up", "y", cwd=matched)
     page = show(matched / "alone.html")
-    assert "frames of the examples that appear" not in page.locator("figcaption").all_text_contents()
+    assert "source frames in the examples" not in page.locator("figcaption").all_text_contents()

@@ -142,3 +142,17 @@ def test_what_samples_fail_is_read_on_a_narrow_screen(kinegrad, tmp_path, opened
         box = cell.bounding_box()
         assert box["width"] > 300
         assert box["x"] + box["width"] <= table["x"] + table["width"] + 1
+
+
+def test_two_runs_fit_on_a_narrow_screen(kinegrad, report, opened, tmp_path):
+    run = report[0].parent
+    shutil.copytree(run, tmp_path / "another", ignore=shutil.ignore_patterns("report.html"))
+    kinegrad("report", run, "another", "--out", "both.html", cwd=tmp_path)
+    page = opened(tmp_path / "both.html", width=400)
+    assert page.locator("h1").inner_text() == "quickstart, another"
+    cut = "[...document.querySelectorAll('.tables')].filter((box) => box.scrollWidth > box.clientWidth).length"
+    assert page.evaluate(cut) == 0
+    # Labels of charts are at least 10 pixels high.
+    sizes = """[...document.querySelectorAll('.chart text')].map((text) =>
+        parseFloat(getComputedStyle(text).fontSize) * text.ownerSVGElement.getScreenCTM().a)"""
+    assert min(page.evaluate(sizes)) >= 10

@@ -3,49 +3,12 @@
 import array
 import math
 import time
-import zlib
 
 import pytest
 
-from material import Capture, read_npy, walk, write_npy, write_song
+from material import Capture, decoded, read_npy, walk, write_npy, write_song
 
 FIRST = "kinegrad.viewers[0]"
-
-
-def decoded(png):
-    """Width, height and RGB rows of an 8-bit PNG without interlacing."""
-    at, data, header = 8, b"", None
-    while at < len(png):
-        size, kind = int.from_bytes(png[at:at + 4], "big"), png[at + 4:at + 8]
-        body = png[at + 8:at + 8 + size]
-        header = body if kind == b"IHDR" else header
-        data += body if kind == b"IDAT" else b""
-        at += 12 + size
-    width, height = int.from_bytes(header[:4], "big"), int.from_bytes(header[4:8], "big")
-    bytes_per_pixel = {2: 3, 6: 4}[header[9]]
-    raw, stride = zlib.decompress(data), width * bytes_per_pixel
-    rows, before = [], bytearray(stride)
-    for y in range(height):
-        kind = raw[y * (stride + 1)]
-        row = bytearray(raw[y * (stride + 1) + 1:(y + 1) * (stride + 1)])
-        for x in range(stride):
-            left = row[x - bytes_per_pixel] if x >= bytes_per_pixel else 0
-            up = before[x]
-            corner = before[x - bytes_per_pixel] if x >= bytes_per_pixel else 0
-            if kind == 1:
-                row[x] = (row[x] + left) & 255
-            elif kind == 2:
-                row[x] = (row[x] + up) & 255
-            elif kind == 3:
-                row[x] = (row[x] + (left + up) // 2) & 255
-            elif kind == 4:
-                guess = left + up - corner
-                nearest = min((left, up, corner), key=lambda value: abs(guess - value))
-                row[x] = (row[x] + nearest) & 255
-        rows.append(row)
-        before = row
-    return width, height, [[tuple(row[x * bytes_per_pixel:x * bytes_per_pixel + 3])
-                            for x in range(width)] for row in rows]
 
 
 def coloured(page, columns=1):
@@ -438,6 +401,17 @@ def test_contacts_name_their_figure_and_joint(kinegrad, show, tmp_path):
     labels = f"{FIRST}.charts[0].rows.map(({{ label }}) => label)"
     assert show(tmp_path / "page.html").evaluate(labels)[::4] == ["one: left_ankle", "two: left_ankle"]
     assert show(tmp_path / "one.html").evaluate(labels)[0] == "left_ankle"
+    # Names stand beside the bars of their rows.
+    for width in (1280, 400):
+        page = show(tmp_path / "page.html", width=width)
+        area = page.locator(".kg-rows .kg-area").bounding_box()
+        assert area["width"] > 150
+        names = [name.bounding_box() for name in page.locator(".kg-names li").all()]
+        assert len(names) == 8
+        for row, name in enumerate(names):
+            assert name["x"] + name["width"] <= area["x"]
+            middle = area["y"] + area["height"] * (row + 0.5) / 8
+            assert name["y"] + name["height"] / 2 == pytest.approx(middle, abs=3)
 
 
 def test_curves_of_a_long_motion_show_a_window_around_the_cursor(kinegrad, show, tmp_path):

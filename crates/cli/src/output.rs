@@ -2,7 +2,7 @@
 
 use std::fmt;
 use std::io::{self, ErrorKind, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use kinegrad_report::{Panel, grouped};
@@ -81,6 +81,28 @@ pub fn width() -> Option<usize> {
     size.map(|(width, _)| usize::from(width.0))
 }
 
+/// Largest number of motions in the command of [`how_to_view`].
+const VIEWED: usize = 4;
+
+/// Prints the command that plays motions, with their goal; the first ones if they are many.
+pub fn how_to_view(motions: &[PathBuf], goal: Option<&Path>) {
+    let Some(command) = view_command(motions, goal) else {
+        return;
+    };
+    tell!("to play: {command}");
+}
+
+fn view_command(motions: &[PathBuf], goal: Option<&Path>) -> Option<String> {
+    let motions = motions.iter().take(VIEWED).map(PathBuf::as_path);
+    let goal = goal
+        .into_iter()
+        .flat_map(|goal| [Path::new("--goal"), goal]);
+    let words: Option<Vec<&str>> = motions.chain(goal).map(Path::to_str).collect();
+    let words = words.filter(|words| !words.is_empty())?;
+    let words = ["kinegrad", "view"].into_iter().chain(words);
+    shlex::try_join(words).ok()
+}
+
 /// A number of parameters, with its parts if there are several.
 pub fn parameters(count: &ParameterCount) -> String {
     let parts = count.networks.iter();
@@ -122,4 +144,28 @@ pub fn draw(panels: &[Panel], columns: usize, size: (u32, u32), out: &Path) -> R
 pub fn unusable(error: impl Diagnostic) -> Error {
     let hint = error.help().map(|hint| hint.to_string());
     Error::usage(error.to_string(), hint.unwrap_or_default())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_that_plays_motions_can_be_pasted() {
+        let files: Vec<PathBuf> = ["a dance.npy", "b.npy", "c.npy", "d.npy", "e.npy"]
+            .map(PathBuf::from)
+            .to_vec();
+        let goal = view_command(&files[1..2], Some(Path::new("goal.toml")));
+        assert_eq!(
+            goal.as_deref(),
+            Some("kinegrad view b.npy --goal goal.toml")
+        );
+        let many = view_command(&files, None).expect("a command");
+        let words = shlex::split(&many).expect("words");
+        assert_eq!(
+            words,
+            ["kinegrad", "view", "a dance.npy", "b.npy", "c.npy", "d.npy"]
+        );
+        assert_eq!(view_command(&[], None), None);
+    }
 }

@@ -1,14 +1,15 @@
-//! The font of pictures, and bitmaps with its letters.
+//! The font of pictures, and bitmaps with its letters and smooth lines.
 
 use std::sync::OnceLock;
 
-use ab_glyph::{Font, FontRef, ScaleFont, point};
+use ab_glyph::{Font, FontRef, GlyphId, ScaleFont, point};
 use plotters::backend::BitMapBackend;
 use plotters::style::text_anchor::{HPos, VPos};
 use plotters::style::{FontStyle, register_font};
 use plotters_backend::{
     BackendColor, BackendCoord, BackendStyle, BackendTextStyle, DrawingBackend, DrawingErrorKind,
 };
+use tiny_skia::{FillRule, LineJoin, Mask, PathBuilder, Stroke, Transform};
 
 /// Registers a built-in font, so that pictures are equal on every machine. Repeated calls are
 /// harmless.
@@ -18,7 +19,8 @@ pub(crate) fn register() {
     debug_assert!(registered.is_ok(), "the built-in font is one");
 }
 
-fn font() -> &'static FontRef<'static> {
+/// The font.
+pub(crate) fn font() -> &'static FontRef<'static> {
     static FONT: OnceLock<FontRef<'static>> = OnceLock::new();
     FONT.get_or_init(|| {
         let font = FontRef::try_from_slice(epaint_default_fonts::UBUNTU_LIGHT);
@@ -26,8 +28,48 @@ fn font() -> &'static FontRef<'static> {
     })
 }
 
-/// A bitmap whose letters start at fractions of a pixel, after their own space. plotters rounds the
-/// position of each letter down and omits that space.
+/// Pixels of a unit of the font's outlines.
+pub(crate) fn pixels_per_unit(size: f32) -> f32 {
+    size / font().height_unscaled()
+}
+
+/// The glyphs of a line of text, and where each starts, pixels from the left.
+pub(crate) fn line(text: &str, size: f32) -> Vec<(GlyphId, f32)> {
+    let scaled = font().as_scaled(size);
+    let mut before = None;
+    let mut width = 0.0;
+    let glyphs = text.chars().map(|letter| {
+        let glyph = scaled.glyph_id(letter);
+        width += before.map_or(0.0, |before| scaled.kern(before, glyph));
+        let start = width;
+        width += scaled.h_advance(glyph);
+        before = Some(glyph);
+        (glyph, start)
+    });
+    glyphs.collect()
+}
+
+/// Width of a line of text in pixels.
+pub(crate) fn width(text: &str, size: f32) -> f32 {
+    let end = line(text, size).pop();
+    end.map_or(0.0, |(glyph, start)| {
+        start + font().as_scaled(size).h_advance(glyph)
+    })
+}
+
+/// The text, shortened with dots if it is wider than `most` pixels.
+pub(crate) fn fitting(text: &str, size: f32, most: f32) -> String {
+    let mut shown = text.to_owned();
+    let mut kept = text.to_owned();
+    while width(&shown, size) > most && kept.pop().is_some() {
+        shown = format!("{}…", kept.trim_end());
+    }
+    shown
+}
+
+/// A bitmap with smooth lines, whose letters start at fractions of a pixel, after their own space.
+/// Lines of plotters have gaps and spikes; it rounds the position of each letter down and omits that
+/// space.
 pub(crate) struct Bitmap<'a>(pub BitMapBackend<'a>);
 
 type Outcome = Result<(), DrawingErrorKind<<BitMapBackend<'static> as DrawingBackend>::ErrorType>>;
@@ -70,26 +112,53 @@ impl DrawingBackend for Bitmap<'_> {
         self.0.draw_rect(a, b, style, fill)
     }
 
+    fn draw_path<S: BackendStyle, I: IntoIterator<Item = BackendCoord>>(
+        &mut self,
+        path: I,
+        style: &S,
+    ) -> Outcome {
+        let mut builder = PathBuilder::new();
+        for (x, y) in path {
+            // The middle of the pixel.
+            let [x, y] = [x, y].map(|value| value as f32 + 0.5);
+            match builder.is_empty() {
+                true => builder.move_to(x, y),
+                false => builder.line_to(x, y),
+            }
+        }
+        let stroke = Stroke {
+            width: style.stroke_width() as f32,
+            line_join: LineJoin::Round,
+            ..Stroke::default()
+        };
+        let outline = builder.finish().and_then(|path| path.stroke(&stroke, 1.0));
+        let (width, height) = self.get_size();
+        let (Some(outline), Some(mut mask)) = (outline, Mask::new(width, height)) else {
+            return Ok(());
+        };
+        mask.fill_path(&outline, FillRule::Winding, true, Transform::identity());
+        let color = style.color();
+        for (at, coverage) in mask
+            .data()
+            .iter()
+            .enumerate()
+            .filter(|(_, covered)| **covered > 0)
+        {
+            let alpha = color.alpha * f64::from(*coverage) / 255.0;
+            let place = ((at % width as usize) as i32, (at / width as usize) as i32);
+            self.draw_pixel(place, BackendColor { alpha, ..color })?;
+        }
+        Ok(())
+    }
+
     fn draw_text<S: BackendTextStyle>(
         &mut self,
         text: &str,
         style: &S,
         at: BackendCoord,
     ) -> Outcome {
-        let scaled = font().as_scaled(style.size() as f32);
-        let mut before = None;
-        let mut width = 0.0;
-        let starts: Vec<_> = text
-            .chars()
-            .map(|letter| {
-                let glyph = scaled.glyph_id(letter);
-                width += before.map_or(0.0, |before| scaled.kern(before, glyph));
-                let start = width;
-                width += scaled.h_advance(glyph);
-                before = Some(glyph);
-                (glyph, start)
-            })
-            .collect();
+        let size = style.size() as f32;
+        let width = width(text, size);
         let left = at.0 as f32
             - match style.anchor().h_pos {
                 HPos::Left => 0.0,
@@ -102,11 +171,10 @@ impl DrawingBackend for Bitmap<'_> {
             VPos::Center => 0.21,
             VPos::Bottom => -0.21,
         };
-        let baseline = (at.1 as f32 + below * style.size() as f32).round();
+        let baseline = (at.1 as f32 + below * size).round();
         let color = style.color();
-        for (glyph, start) in starts {
-            let place = point(left + start, baseline);
-            let glyph = glyph.with_scale_and_position(scaled.scale(), place);
+        for (glyph, start) in line(text, size) {
+            let glyph = glyph.with_scale_and_position(size, point(left + start, baseline));
             let Some(outline) = font().outline_glyph(glyph) else {
                 continue;
             };

@@ -5,13 +5,15 @@ use std::path::Path;
 use gif::{DisposalMethod, Encoder, Frame, Repeat};
 
 use crate::export::{self, ExportError, Stop};
-use crate::raster::{Image, PALETTE, Painter, square_side};
+use crate::raster::{Image, Painter};
 use crate::scene::Scene;
 
 /// Maximum frames per second; faster motion is resampled.
 const MOST_FPS: f64 = 20.0;
-/// Index of unchanged pixels.
-const UNCHANGED: u8 = PALETTE.len() as u8;
+/// Index of unchanged pixels, after the colors.
+const UNCHANGED: u8 = u8::MAX;
+/// Number of pictures that the colors are chosen from.
+const MEASURED: usize = 24;
 /// Size in pixels of a single object, and of each of several objects.
 const ALONE: (u32, u32) = (400, 360);
 const BESIDE: (u32, u32) = (320, 340);
@@ -38,7 +40,7 @@ pub(crate) fn size(scene: &Scene) -> (u32, u32) {
         0 | 1 => ALONE,
         count @ 2..=3 => (count * BESIDE.0, BESIDE.1),
         count => {
-            let side = square_side(count);
+            let side = (1..).find(|side| side * side >= count).unwrap_or(count);
             let rows = count.div_ceil(side).min(4);
             (side.min(4) * BESIDE.0, rows * BESIDE.1)
         }
@@ -66,21 +68,21 @@ fn encode(
     size: (u32, u32),
     stop: Stop<'_>,
 ) -> Result<Option<Vec<u8>>, gif::EncodingError> {
-    let painter = Painter::new(scene, size);
-    let (width, height) = painter.size();
-    let [width, height] = [width, height].map(|side| side.min(u32::from(u16::MAX)) as u16);
-    let mut palette = vec![None; 1 << 15];
+    let painter = Painter::new(scene, size, 1.0);
+    let timing = timing(scene);
+    let (width, height) = (size.0 as u16, size.1 as u16);
+    let palette = palette(&painter, &timing);
+    let mut known = vec![None; 1 << 15];
     let mut bytes = Vec::new();
-    let mut encoder = Encoder::new(&mut bytes, width, height, PALETTE.as_flattened())?;
+    let mut encoder = Encoder::new(&mut bytes, width, height, palette.as_flattened())?;
     encoder.set_repeat(Repeat::Infinite)?;
     let mut before: Option<Vec<u8>> = None;
     let mut waiting: Option<Frame<'static>> = None;
-    let timing = timing(scene);
     for (index, &(moment, delay)) in timing.iter().enumerate() {
         if stop(index, timing.len()) {
             return Ok(None);
         }
-        let now = indices(&painter.at(moment), &mut palette);
+        let now = indices(&painter.at(moment), &palette, &mut known);
         let changed = match &before {
             None => Some(picture(now.clone(), width, height)),
             Some(before) => difference(before, &now, width.into()),
@@ -142,25 +144,52 @@ fn difference(before: &[u8], now: &[u8], width: usize) -> Option<Frame<'static>>
     })
 }
 
-/// The palette index of each pixel. `known` caches the index of each color with five bits per
-/// channel.
-fn indices(image: &Image, known: &mut [Option<u8>]) -> Vec<u8> {
-    let pixels = image.rgb.chunks_exact(3).map(|pixel| {
-        let bits = pixel.iter().map(|value| usize::from(value >> 3));
-        let at = bits.fold(0, |at, value| at << 5 | value);
-        *known[at].get_or_insert_with(|| nearest(pixel))
-    });
-    pixels.collect()
+/// The most frequent colors of some pictures, at most [`UNCHANGED`].
+fn palette(painter: &Painter<'_>, timing: &[(f64, u16)]) -> Vec<[u8; 3]> {
+    // Number of pixels and sum of the colors of each bin.
+    let mut bins = vec![(0u64, [0u64; 3]); 1 << 15];
+    for (moment, _) in timing.iter().step_by(timing.len().div_ceil(MEASURED)) {
+        for pixel in painter.at(*moment).rgb.chunks_exact(3) {
+            let (count, sum) = &mut bins[bin(pixel)];
+            *count += 1;
+            for (sum, value) in sum.iter_mut().zip(pixel) {
+                *sum += u64::from(*value);
+            }
+        }
+    }
+    bins.retain(|(count, _)| *count > 0);
+    bins.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
+    let colors = bins.iter().take(UNCHANGED.into());
+    let mut palette: Vec<[u8; 3]> = colors
+        .map(|(count, sum)| sum.map(|sum| (sum / count) as u8))
+        .collect();
+    // All indices exist.
+    palette.resize(usize::from(UNCHANGED) + 1, palette[0]);
+    palette
 }
 
-fn nearest(pixel: &[u8]) -> u8 {
-    let distance = |colour: &[u8; 3]| {
-        let apart = colour.iter().zip(pixel).map(|(a, b)| a.abs_diff(*b));
+/// Index of a color with five bits per channel.
+fn bin(pixel: &[u8]) -> usize {
+    let bits = pixel.iter().map(|value| usize::from(value >> 3));
+    bits.fold(0, |at, value| at << 5 | value)
+}
+
+/// The palette index of each pixel. `known` caches the index of each [`bin`].
+fn indices(image: &Image, palette: &[[u8; 3]], known: &mut [Option<u8>]) -> Vec<u8> {
+    let pixels = image.rgb.chunks_exact(3);
+    let indices =
+        pixels.map(|pixel| *known[bin(pixel)].get_or_insert_with(|| nearest(pixel, palette)));
+    indices.collect()
+}
+
+fn nearest(pixel: &[u8], palette: &[[u8; 3]]) -> u8 {
+    let distance = |color: &[u8; 3]| {
+        let apart = color.iter().zip(pixel).map(|(a, b)| a.abs_diff(*b));
         apart.map(|value| i32::from(value).pow(2)).sum::<i32>()
     };
-    let indices = 0..PALETTE.len() as u8;
-    let found = indices.min_by_key(|index| distance(&PALETTE[usize::from(*index)]));
-    found.expect("there are colours")
+    let indices = 0..UNCHANGED;
+    let found = indices.min_by_key(|index| distance(&palette[usize::from(*index)]));
+    found.expect("there are colors")
 }
 
 #[cfg(test)]
@@ -213,7 +242,7 @@ mod tests {
         let scene = scene(vec![body(12)]);
         let (pictures, delays) = decode(&encoded(&scene, (120, 100)));
         assert_eq!((pictures.len(), delays), (12, vec![5; 12]));
-        let painter = Painter::new(&scene, (120, 100));
+        let painter = Painter::new(&scene, (120, 100), 1.0);
         for (frame, picture) in pictures.iter().enumerate() {
             let drawn = painter.at(frame as f64 / 20.0);
             let pixels = picture.iter().zip(drawn.rgb.chunks_exact(3));
@@ -254,12 +283,19 @@ mod tests {
     }
 
     #[test]
-    fn thirteen_seconds_take_less_than_a_megabyte() {
+    fn thirteen_seconds_take_little_space() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("dance.gif");
-        write(&scene(vec![dancer(390, 0.0)]), &out, &|_, _| false).unwrap();
-        let size = std::fs::metadata(&out).unwrap().len();
-        assert!(size < 1_000_000, "{size} bytes");
+        let mut near = dancer(390, 0.0);
+        for value in near.positions.iter_mut().step_by(3) {
+            *value *= 0.5;
+        }
+        // The camera follows the second one.
+        for (object, most) in [(near, 700_000), (dancer(390, 0.0), 1_500_000)] {
+            write(&scene(vec![object]), &out, &|_, _| false).unwrap();
+            let size = std::fs::metadata(&out).unwrap().len();
+            assert!(size < most, "{size} bytes");
+        }
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 

@@ -1,6 +1,7 @@
 //! Reports: tables, columns side by side, CSV, plots, and motion as pages, pictures and files.
 
 mod columns;
+mod drawing;
 mod escape;
 mod export;
 mod font;

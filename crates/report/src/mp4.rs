@@ -78,8 +78,8 @@ fn encode(
     stop: Stop<'_>,
 ) -> Result<(), ExportError> {
     let (width, height) = crate::gif::size(scene);
-    let painter = Painter::new(scene, (SCALE * width, SCALE * height));
-    let size = painter.size();
+    let size = (SCALE * width, SCALE * height);
+    let painter = Painter::new(scene, size, f64::from(SCALE));
     let count = ((scene.seconds() * f64::from(FPS)).round() as usize).max(1);
     let seconds = count as f64 / f64::from(FPS);
     let mut command = Command::new(program);
@@ -302,9 +302,10 @@ mod tests {
                 ..Scene::default()
             };
             let (width, height) = crate::gif::size(&scene);
-            let size = Painter::new(&scene, (SCALE * width, SCALE * height)).size();
-            let even = [size.0, size.1].iter().all(|side| side.is_multiple_of(2));
-            assert!(even, "{count}: {size:?}");
+            let even = [width, height]
+                .iter()
+                .all(|side| (SCALE * side).is_multiple_of(2));
+            assert!(even, "{count}: {width} x {height}");
         }
     }
 }

@@ -181,28 +181,21 @@ pub(crate) enum Side {
     Middle,
 }
 
-/// Half sizes of an oriented body in meters: side, up, front.
-pub(crate) const BODY: [f32; 3] = [0.17, 0.26, 0.1];
-
-/// Largest radius of a bone in meters, and relative to its length.
-const BONE_RADIUS: (f32, f32) = (0.032, 0.25);
-
 impl SceneObject {
-    /// The nearest frame to a time.
-    pub(crate) fn frame_at(&self, seconds: f64) -> usize {
-        let frame = (seconds * self.fps).round().max(0.0) as usize;
-        frame.min(self.frames().saturating_sub(1))
-    }
-
-    /// The pose at a time, interpolated between frames, clamped at both ends.
-    pub(crate) fn pose(&self, seconds: f64) -> Pose {
+    /// The frame at a time, and the part of the way to the next frame; the last frame at the end.
+    pub(crate) fn place(&self, seconds: f64) -> (usize, f32) {
         let last = self.frames().saturating_sub(1);
         let place = (seconds * self.fps).clamp(0.0, last as f64);
         // Tolerates rounding in the division by the frame rate.
         let is_frame = (place - place.round()).abs() < 1e-6;
         let place = if is_frame { place.round() } else { place };
-        let (from, part) = (place.floor() as usize, (place - place.floor()) as f32);
-        let to = (from + 1).min(last);
+        (place.floor() as usize, (place - place.floor()) as f32)
+    }
+
+    /// The pose at a time, interpolated between frames, clamped at both ends.
+    pub(crate) fn pose(&self, seconds: f64) -> Pose {
+        let (from, part) = self.place(seconds);
+        let to = (from + 1).min(self.frames().saturating_sub(1));
         let between = |a: f32, b: f32| if part > 0.0 { a + part * (b - a) } else { a };
         let joints = (0..self.joints()).map(|joint| {
             let (a, b) = (self.joint(from, joint), self.joint(to, joint));
@@ -227,8 +220,9 @@ impl SceneObject {
         let lower = name.to_lowercase();
         let of = |word: &str, letter: char| {
             let second = name.chars().nth(1).unwrap_or(' ');
-            let initial = lower.starts_with(letter) && (second.is_uppercase() || second == '_');
-            let end = ["_", "."].map(|mark| format!("{mark}{letter}"));
+            let is_camel = second.is_uppercase() && name != name.to_uppercase();
+            let initial = lower.starts_with(letter) && (is_camel || "_.-".contains(second));
+            let end = ["_", ".", "-"].map(|mark| format!("{mark}{letter}"));
             lower.contains(word) || initial || end.iter().any(|end| lower.ends_with(end))
         };
         match (of("left", 'l'), of("right", 'r')) {
@@ -236,24 +230,6 @@ impl SceneObject {
             (false, true) => Side::Right,
             _ => Side::Middle,
         }
-    }
-
-    /// True if a joint is the end of the head.
-    pub(crate) fn is_head(&self, joint: usize) -> bool {
-        let name = self.joint_names.get(joint);
-        let named = name.is_some_and(|name| name.to_lowercase().ends_with("head"));
-        named && !self.parents.contains(&Some(joint))
-    }
-
-    /// Radius in meters of the bone that ends at a joint, in a pose.
-    pub(crate) fn bone_radius(&self, joint: usize, places: &[[f32; 3]]) -> f32 {
-        let (most, part) = BONE_RADIUS;
-        let Some(parent) = self.parents[joint] else {
-            return most;
-        };
-        let (a, b) = (places[parent], places[joint]);
-        let square: f32 = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum();
-        (part * square.sqrt()).min(most)
     }
 }
 

@@ -72,6 +72,9 @@ pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, 
         }
     }
     record.warn();
+    if !arguments.json {
+        output::how_to_view(std::slice::from_ref(&arguments.out), None);
+    }
     Ok(ExitCode::SUCCESS)
 }
 

@@ -48,6 +48,10 @@ fn sample(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, 
         .overrides
         .extend(method.map(|method| format!("evaluation.path.method={method}")));
     let trained = trained(systems, &arguments.run, &sampler)?;
+    let goal = match &arguments.conditions.goal[..] {
+        [goal] => Some(goal.clone()),
+        _ => None,
+    };
     let request = Request {
         history_joints: arguments.conditions.history_joints()?,
         conditions: arguments.conditions.conditions()?,
@@ -66,7 +70,10 @@ fn sample(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, 
                 Summary::Table(table) => serde_json::json!(table),
             }),
         }),
-        false => say_summary(summary),
+        false => {
+            say_summary(summary);
+            output::how_to_view(&files.motions, goal.as_deref());
+        }
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -194,7 +194,7 @@ fn write_final_samples(systems: Systems<'_>, outcome: &Outcome) -> Result<FinalS
     let mut files = Files::silent(&unfinished);
     let summary = systems.sample(&trained, &request, &mut files)?;
     move_into(&unfinished, &folder)?;
-    Ok((files.written, trained.saved.state.step, summary))
+    Ok((files.motions.len(), trained.saved.state.step, summary))
 }
 
 /// Moves a folder. Files move into an existing target folder and replace its files.

@@ -146,6 +146,9 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         }
     }
     record.warn(joints.frames(), arguments.along);
+    if !arguments.json {
+        output::how_to_view(&outputs[..1], None);
+    }
     Ok(ExitCode::SUCCESS)
 }
 

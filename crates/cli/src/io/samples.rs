@@ -37,8 +37,8 @@ pub struct Files {
     pub(crate) collected: Vec<Written>,
     /// Locks the feet in BVH files.
     pub(crate) lock_feet: bool,
-    /// Number of samples written.
-    pub(crate) written: usize,
+    /// The motions that were written.
+    pub(crate) motions: Vec<PathBuf>,
 }
 
 impl Files {
@@ -180,7 +180,7 @@ impl SampleSink for Files {
         }
         must_be_finite(&sample, &self.stem)?;
         let files = interrupt::not_during(|| self.write(&sample))?;
-        self.written += 1;
+        self.motions.extend(files.first().cloned());
         let written = Written {
             files,
             record: sample.record,

@@ -7,14 +7,13 @@ use serde_json::{Value, json};
 use super::document::{ARRAY_BUFFER, Document, push};
 use super::rig::Rig;
 use super::rotation::Rotation;
-use crate::scene::{BODY, SceneObject};
+use crate::drawing::{DRAWING, Figure};
+use crate::scene::SceneObject;
 
 /// Number of corners around a capsule.
 const SIDES: u32 = 10;
 /// Number of rings in each round end of a capsule.
 const RINGS: u32 = 3;
-/// Radius in meters of a lone root without orientation.
-const BALL: f32 = 0.08;
 /// Color of all meshes (RGBA).
 const COLOUR: [f32; 4] = [0.35, 0.5, 0.72, 1.0];
 
@@ -33,26 +32,24 @@ impl Mesh {
     pub fn skin(object: &SceneObject, rig: &Rig, bind: &[[f32; 3]]) -> Self {
         let mut mesh = Self::default();
         let places: Vec<[f32; 3]> = rig.joints.iter().map(|node| bind[*node]).collect();
+        let figure = Figure::of(object);
         for (index, node) in rig.nodes.iter().enumerate() {
-            for &end in &node.bones_to {
-                let radius = object.bone_radius(end, &places);
-                if radius > 0.0 {
-                    mesh.capsule([bind[index], places[end]], radius);
-                    mesh.joints.resize(mesh.places.len(), index as u16);
-                }
+            let is_own = |end: usize| node.bones_to.contains(&end);
+            for bone in figure.bones.iter().filter(|bone| is_own(bone.joint)) {
+                mesh.capsule([bind[index], places[bone.joint]], bone.radius as f32);
+                mesh.joints.resize(mesh.places.len(), index as u16);
             }
         }
-        for (joint, place) in places.iter().enumerate() {
-            if object.is_head(joint) {
-                let radius = 2.6 * object.bone_radius(joint, &places);
-                mesh.capsule([*place, *place], radius);
-                mesh.joints
-                    .resize(mesh.places.len(), rig.joints[joint] as u16);
-            }
+        if let Some([head, top]) = figure.head {
+            let center = [0, 1, 2].map(|axis| (places[head][axis] + places[top][axis]) / 2.0);
+            let radius = DRAWING.ball.head * figure.height;
+            mesh.capsule([center; 2], radius as f32);
+            mesh.joints
+                .resize(mesh.places.len(), rig.joints[head] as u16);
         }
         if mesh.places.is_empty() {
             // If all bones have length 0, the root is shown.
-            mesh.capsule([places[0], places[0]], BALL);
+            mesh.capsule([places[0]; 2], DRAWING.root.ball as f32);
             mesh.joints.resize(mesh.places.len(), 0);
         }
         mesh
@@ -66,14 +63,17 @@ impl Mesh {
                 mesh.face(axis, sign);
             }
         }
-        mesh.capsule([[0.0, 0.0, BODY[2]], [0.0, 0.0, BODY[2] + 0.2]], 0.03);
+        let root = &DRAWING.root;
+        let front = root.body[2];
+        let ends = [front, front + root.shaft[1] + root.head[1]];
+        mesh.capsule(ends.map(|z| [0.0, 0.0, z as f32]), root.shaft[0] as f32);
         mesh
     }
 
     /// A ball.
     pub fn ball() -> Self {
         let mut mesh = Self::default();
-        mesh.capsule([[0.0; 3]; 2], BALL);
+        mesh.capsule([[0.0; 3]; 2], DRAWING.root.ball as f32);
         mesh
     }
 
@@ -81,11 +81,12 @@ impl Mesh {
     fn face(&mut self, axis: usize, sign: f32) {
         let first = self.places.len() as u32;
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        let body = DRAWING.root.body.map(|half| half as f32);
         for (along_u, along_v) in [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)] {
             let mut place = [0.0; 3];
-            place[axis] = sign * BODY[axis];
-            place[u] = along_u * sign * BODY[u];
-            place[v] = along_v * BODY[v];
+            place[axis] = sign * body[axis];
+            place[u] = along_u * sign * body[u];
+            place[v] = along_v * body[v];
             self.places.push(place);
             let mut normal = [0.0; 3];
             normal[axis] = sign;

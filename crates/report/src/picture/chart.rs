@@ -18,11 +18,17 @@ use super::panel::{Kind, Panel, Pose};
 const MARGIN: u32 = 8;
 
 /// Height of the labels below the plot, pixels.
-const X_LABELS: u32 = 26;
+const X_LABELS: u32 = 34;
 
 /// Width of the labels left of the plot in pixels, for numbers and for row names.
 const Y_LABELS: u32 = 48;
 const ROW_NAMES: u32 = 96;
+
+/// Width of curves, pixels.
+const STROKE: u32 = 2;
+
+/// Width and height of the label of a pose, pixels.
+const POSE_LABEL: (i32, i32) = (36, 11);
 
 /// Colors of the first and the last pose.
 const FIRST: [f64; 3] = [150.0, 190.0, 225.0];
@@ -33,7 +39,6 @@ type Chart<'a, B> = ChartContext<'a, B, Cartesian2d<RangedCoordf64, RangedCoordf
 pub(super) fn draw_panel<B: DrawingBackend<ErrorType: 'static>>(
     panel: &Panel,
     area: &DrawingArea<B, Shift>,
-    stroke: u32,
 ) -> Result<(), Box<dyn Error>> {
     let area = &draw_head(panel, area)?;
     let left = match panel.kind {
@@ -73,7 +78,7 @@ pub(super) fn draw_panel<B: DrawingBackend<ErrorType: 'static>>(
             chart.draw_series(cells(rows, *width))?;
         }
         Kind::Strip { rows, .. } => draw_rows(&mut chart, area, rows)?,
-        Kind::Poses(poses) => draw_poses(&mut chart, area, poses, stroke)?,
+        Kind::Poses(poses) => draw_poses(&mut chart, area, poses)?,
         Kind::Bars(bars) => {
             chart.draw_series(bars.iter().map(|(range, count)| {
                 let corners = [(range.start, 0.0), (range.end, *count as f64)];
@@ -86,10 +91,14 @@ pub(super) fn draw_panel<B: DrawingBackend<ErrorType: 'static>>(
         chart.draw_series([Polygon::new(region.clone(), OBSTACLE.mix(0.25).filled())])?;
     }
     for (index, (_, points)) in panel.series().iter().enumerate() {
-        let style = colour(index).stroke_width(stroke);
+        let style = colour(index).stroke_width(STROKE);
         // A point that cannot be drawn interrupts the line.
         for line in points.split(|(x, y)| !(can_be_drawn(*x) && can_be_drawn(*y))) {
-            chart.draw_series(LineSeries::new(line.iter().copied(), style))?;
+            match *line {
+                // A line through one point is invisible.
+                [point] => chart.draw_series([Circle::new(point, 3, style.filled())])?,
+                _ => chart.draw_series(LineSeries::new(line.iter().copied(), style))?,
+            };
         }
     }
     if let Kind::Map(_) = panel.kind {
@@ -158,21 +167,30 @@ fn draw_poses<B: DrawingBackend<ErrorType: 'static>>(
     chart: &mut Chart<'_, B>,
     area: &DrawingArea<B, Shift>,
     poses: &[Pose],
-    stroke: u32,
 ) -> Result<(), Box<dyn Error>> {
     let across = chart.x_range();
     let ground = vec![(across.start, 0.0), (across.end, 0.0)];
     chart.draw_series([PathElement::new(ground, BLACK.mix(0.4))])?;
     let last = poses.len().saturating_sub(1).max(1) as f64;
+    let mut labels: Vec<(i32, i32)> = Vec::new();
     for (index, pose) in poses.iter().enumerate() {
         let late = index as f64 / last;
         let [r, g, b] = [0, 1, 2].map(|i| (FIRST[i] + late * (LAST[i] - FIRST[i])) as u8);
-        let style = RGBColor(r, g, b).stroke_width(stroke);
+        let style = RGBColor(r, g, b).stroke_width(STROKE);
         let bones = pose.bones.iter();
         chart.draw_series(bones.map(|ends| PathElement::new(ends.to_vec(), style)))?;
         let joints = pose.joints.iter();
         chart.draw_series(joints.map(|place| Circle::new(*place, 2, style.filled())))?;
-        let (x, y) = pixel(chart, area, pose.top);
+        let (x, mut y) = pixel(chart, area, pose.top);
+        // Labels of poses at one place stand above one another.
+        let (width, height) = POSE_LABEL;
+        while labels
+            .iter()
+            .any(|at| (x - at.0).abs() < width && (y - at.1).abs() < height)
+        {
+            y -= 1;
+        }
+        labels.push((x, y));
         let above = Pos::new(HPos::Center, VPos::Bottom);
         let style = ("sans-serif", 10).into_text_style(area).pos(above);
         area.draw_text(&pose.label, &style, (x, y - 2))?;

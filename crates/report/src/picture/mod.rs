@@ -125,7 +125,7 @@ impl<'a> Sheet<'a> {
     fn svg(&self) -> Result<Vec<u8>, Box<dyn Error>> {
         let mut text = String::new();
         let root = SVGBackend::with_string(&mut text, self.size).into_drawing_area();
-        self.draw(&root, 2)?;
+        self.draw(&root)?;
         drop(root);
         Ok(text.into_bytes())
     }
@@ -135,8 +135,7 @@ impl<'a> Sheet<'a> {
         let mut rgb = vec![0; 3 * width as usize * height as usize];
         let bitmap = BitMapBackend::with_buffer(&mut rgb, self.size);
         let root = font::Bitmap(bitmap).into_drawing_area();
-        // Wider bitmap strokes have spikes at sharp corners.
-        self.draw(&root, 1)?;
+        self.draw(&root)?;
         drop(root);
         Ok(Image { width, height, rgb }.png())
     }
@@ -144,12 +143,11 @@ impl<'a> Sheet<'a> {
     fn draw<B: DrawingBackend<ErrorType: 'static>>(
         &self,
         root: &DrawingArea<B, Shift>,
-        stroke: u32,
     ) -> Result<(), Box<dyn Error>> {
         font::register();
         root.fill(&WHITE)?;
         for &(panel, corner, size) in &self.panels {
-            draw_panel(panel, &root.clone().shrink(corner, size), stroke)?;
+            draw_panel(panel, &root.clone().shrink(corner, size))?;
         }
         root.present()?;
         Ok(())
@@ -217,6 +215,68 @@ mod tests {
                 "{tag}"
             );
         }
+    }
+
+    #[test]
+    fn a_lone_point_is_a_dot() {
+        let blue = |points: Vec<(f64, f64)>| {
+            let panel = Panel::lines("", "step", vec![("loss".into(), points)]);
+            let sheet = [panel];
+            let png = Sheet::new(&sheet, 1, (300, 200)).png().expect("drawn");
+            let mut reader = png::Decoder::new(std::io::Cursor::new(png))
+                .read_info()
+                .expect("a header");
+            let mut rgb = vec![0; reader.output_buffer_size().expect("a size")];
+            reader.next_frame(&mut rgb).expect("pixels");
+            rgb.chunks_exact(3)
+                .filter(|pixel| **pixel == [0x2f, 0x6f, 0xed])
+                .count()
+        };
+        let legend = blue(vec![]);
+        assert!(blue(vec![(3.0, 1.0)]) > legend + 20);
+        let broken = vec![(1.0, 1.0), (2.0, f64::NAN), (3.0, 2.0), (4.0, f64::NAN)];
+        assert!(blue(broken) > legend + 40);
+    }
+
+    #[test]
+    fn a_slow_line_has_no_gaps() {
+        let slow = |i: i32| (f64::from(i) / 4000.0, 0.3 * f64::from(i) / 4000.0);
+        let panel = [Panel::lines(
+            "",
+            "s",
+            vec![("path".into(), (0..4000).map(slow).collect())],
+        )];
+        let png = Sheet::new(&panel, 1, (300, 200)).png().expect("drawn");
+        let mut reader = png::Decoder::new(std::io::Cursor::new(png))
+            .read_info()
+            .expect("a header");
+        let mut rgb = vec![0; reader.output_buffer_size().expect("a size")];
+        reader.next_frame(&mut rgb).expect("pixels");
+        let is_blue = |pixel: &[u8]| pixel[2] > 150 && pixel[0] < 140;
+        let column = |x: usize| (30..170).any(|y| is_blue(&rgb[3 * (300 * y + x)..][..3]));
+        assert!((100..250).all(column));
+    }
+
+    #[test]
+    fn the_label_of_an_axis_is_below_its_ticks() {
+        let panel = Panel::lines(
+            "",
+            "step",
+            vec![("loss".into(), vec![(20.0, 0.4), (60.0, 0.8)])],
+        );
+        let svg = svg(&[panel]);
+        let height = |text: &str| -> f64 {
+            let before = svg.split(&format!("\n{text}\n")).next().expect("text");
+            let tag = before.rsplit("<text").next().expect("a tag");
+            let y = tag.split(" y=\"").nth(1).expect("y").split('"').next();
+            y.expect("y").parse().expect("a number")
+        };
+        assert!(
+            height("step") >= height("40") + 11.0,
+            "{} {}",
+            height("step"),
+            height("40")
+        );
     }
 
     #[test]

@@ -1,4 +1,12 @@
-//! Pictures, and anti-aliased strokes and shapes on them.
+//! Pictures, and paths on them.
+
+use ab_glyph::{Font, OutlineCurve};
+use tiny_skia::{
+    FillRule, LineCap, LineJoin, Paint, Path, PathBuilder, Pixmap, Stroke, StrokeDash, Transform,
+};
+
+use crate::drawing::{Color, View};
+use crate::font;
 
 /// A picture in memory.
 #[derive(Clone, Debug, Eq, PartialEq)]
@@ -11,8 +19,8 @@ pub(crate) struct Image {
 
 impl Image {
     /// A picture of one color.
-    pub(crate) fn filled(width: u32, height: u32, colour: [u8; 3]) -> Self {
-        let rgb = colour.repeat(width as usize * height as usize);
+    pub(crate) fn filled(width: u32, height: u32, color: [u8; 3]) -> Self {
+        let rgb = color.repeat(width as usize * height as usize);
         Self { width, height, rgb }
     }
 
@@ -28,169 +36,279 @@ impl Image {
         bytes
     }
 
-    /// Copies a picture to `(x, y)`; it must lie within.
-    pub(crate) fn paste(&mut self, part: &Self, (x, y): (u32, u32)) {
-        let row = 3 * part.width as usize;
-        for (line, pixels) in part.rgb.chunks_exact(row).enumerate() {
+    /// Copies a canvas to `[x, y]`, as far as it lies within.
+    pub(super) fn paste(&mut self, part: &Canvas, [x, y]: [u32; 2]) {
+        let columns = part.0.width().min(self.width.saturating_sub(x)) as usize;
+        let rows = part.0.height().min(self.height.saturating_sub(y)) as usize;
+        let lines = part.0.pixels().chunks_exact(part.0.width() as usize);
+        for (line, pixels) in lines.take(rows).enumerate() {
             let to = 3 * ((y as usize + line) * self.width as usize + x as usize);
-            self.rgb[to..to + row].copy_from_slice(pixels);
-        }
-    }
-
-    /// Blends a color into a pixel.
-    fn blend(&mut self, x: i32, y: i32, colour: [u8; 3], coverage: f32) {
-        let at = 3 * (y as usize * self.width as usize + x as usize);
-        for (value, new) in self.rgb[at..at + 3].iter_mut().zip(colour) {
-            let mixed = f32::from(*value) + (f32::from(new) - f32::from(*value)) * coverage;
-            *value = mixed.round() as u8;
-        }
-    }
-
-    /// A line with round caps between `ends`, in pixels, with half widths `radii` at its ends.
-    pub(super) fn stroke(&mut self, ends: [[f32; 2]; 2], radii: [f32; 2], colour: [u8; 3]) {
-        let [a, b] = ends;
-        let finite = ends.as_flattened().iter().chain(&radii);
-        if !finite.copied().all(f32::is_finite) {
-            return;
-        }
-        // Iterates along the longer axis, so that few pixels beside the line are visited.
-        let main = usize::from((b[1] - a[1]).abs() > (b[0] - a[0]).abs());
-        let cross = 1 - main;
-        let sizes = [self.width as f32, self.height as f32];
-        let reach = radii[0].max(radii[1]) + 1.0;
-        let along = b[main] - a[main];
-        let slope = match along.abs() > 1e-6 {
-            true => (b[cross] - a[cross]) / along,
-            false => 0.0,
-        };
-        let beside = reach * (1.0 + slope * slope).sqrt() + 1.0;
-        let first = (a[main].min(b[main]) - reach).floor().max(0.0);
-        let last = (a[main].max(b[main]) + reach).ceil().min(sizes[main] - 1.0);
-        let mut step = first;
-        while step <= last {
-            let centre = a[cross] + slope * (step + 0.5 - a[main]);
-            // A thick cap extends beyond the end of the line.
-            let from = (centre - beside).floor().max(0.0);
-            let to = (centre + beside).ceil().min(sizes[cross] - 1.0);
-            let mut other = from;
-            while other <= to {
-                let mut pixel = [0.0; 2];
-                pixel[main] = step + 0.5;
-                pixel[cross] = other + 0.5;
-                let coverage = cover(pixel, ends, radii);
-                if coverage > 0.0 {
-                    let [x, y] = pixel.map(|value| value as i32);
-                    self.blend(x, y, colour, coverage);
-                }
-                other += 1.0;
-            }
-            step += 1.0;
-        }
-    }
-
-    /// A convex polygon in either orientation, in pixels.
-    pub(super) fn convex(&mut self, corners: &[[f32; 2]], colour: [u8; 3]) {
-        if !corners.as_flattened().iter().copied().all(f32::is_finite) {
-            return;
-        }
-        let area: f32 = edges(corners).map(|[a, b]| a[0] * b[1] - a[1] * b[0]).sum();
-        let turn = area.signum();
-        let bound = |axis: usize, size: u32| {
-            let values = || corners.iter().map(|corner| corner[axis]);
-            let low = values().fold(f32::INFINITY, f32::min);
-            let high = values().fold(f32::NEG_INFINITY, f32::max);
-            let low = (low - 1.0).floor().max(0.0) as i32;
-            (low, (high + 1.0).ceil().min(size as f32 - 1.0) as i32)
-        };
-        let (left, right) = bound(0, self.width);
-        let (top, bottom) = bound(1, self.height);
-        for y in top..=bottom {
-            for x in left..=right {
-                let (px, py) = (x as f32 + 0.5, y as f32 + 0.5);
-                let inside = edges(corners).map(|[a, b]| {
-                    let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
-                    let length = dx.hypot(dy).max(1e-6);
-                    turn * (dx * (py - a[1]) - dy * (px - a[0])) / length
-                });
-                let coverage = (inside.fold(f32::INFINITY, f32::min) + 0.5).clamp(0.0, 1.0);
-                if coverage > 0.0 {
-                    self.blend(x, y, colour, coverage);
-                }
+            let row = self.rgb[to..to + 3 * columns].chunks_exact_mut(3);
+            for (value, pixel) in row.zip(pixels) {
+                value.copy_from_slice(&[pixel.red(), pixel.green(), pixel.blue()]);
             }
         }
     }
 }
 
-/// The edges of a polygon.
-fn edges(corners: &[[f32; 2]]) -> impl Iterator<Item = [[f32; 2]; 2]> {
-    let next = corners.iter().cycle().skip(1);
-    corners.iter().zip(next).map(|(a, b)| [*a, *b])
+/// How a path is drawn: its color with an opacity.
+#[derive(Clone, Copy)]
+pub(super) struct Ink(pub Color, pub f64);
+
+impl From<Color> for Ink {
+    fn from(color: Color) -> Self {
+        Self(color, 1.0)
+    }
 }
 
-/// Coverage of a pixel by a stroke, 0 to 1.
-fn cover(pixel: [f32; 2], [a, b]: [[f32; 2]; 2], radii: [f32; 2]) -> f32 {
-    let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
-    let (px, py) = (pixel[0] - a[0], pixel[1] - a[1]);
-    let square = dx * dx + dy * dy;
-    let part = match square > 1e-12 {
-        true => ((px * dx + py * dy) / square).clamp(0.0, 1.0),
-        false => 0.0,
+/// Ends and corners of lines.
+#[derive(Clone, Copy)]
+pub(super) enum Ends {
+    Butt,
+    /// Butt ends and round corners.
+    Bent,
+    Round,
+}
+
+/// An opaque picture that paths are drawn on.
+#[derive(Clone)]
+pub(super) struct Canvas(Pixmap);
+
+impl Canvas {
+    /// A picture of one color.
+    pub fn filled([width, height]: [u32; 2], color: Color) -> Self {
+        let mut pixmap = Pixmap::new(width, height).expect("a pane has pixels");
+        let [r, g, b] = color.0;
+        pixmap.fill(tiny_skia::Color::from_rgba8(r, g, b, 255));
+        Self(pixmap)
+    }
+
+    /// Fills a path.
+    pub fn fill(&mut self, path: Option<&Path>, ink: impl Into<Ink>) {
+        if let Some(path) = path {
+            let (rule, place) = (FillRule::Winding, Transform::identity());
+            self.0
+                .fill_path(path, &paint(ink.into()), rule, place, None);
+        }
+    }
+
+    /// Draws a path as a line of `width` pixels.
+    pub fn stroke(&mut self, path: Option<&Path>, width: f64, ends: Ends, ink: impl Into<Ink>) {
+        self.dashed(path, width, ends, None, ink);
+    }
+
+    /// Draws a path as a line of `width` pixels with `dash`, lengths of line and gap in pixels.
+    pub fn dashed(
+        &mut self,
+        path: Option<&Path>,
+        width: f64,
+        ends: Ends,
+        dash: Option<[f64; 2]>,
+        ink: impl Into<Ink>,
+    ) {
+        let Some(path) = path else { return };
+        let dash = dash.map(|dash| dash.map(|part| part as f32).to_vec());
+        let stroke = Stroke {
+            width: width as f32,
+            line_cap: match ends {
+                Ends::Round => LineCap::Round,
+                Ends::Butt | Ends::Bent => LineCap::Butt,
+            },
+            line_join: match ends {
+                Ends::Butt => LineJoin::Miter,
+                Ends::Bent | Ends::Round => LineJoin::Round,
+            },
+            dash: dash.and_then(|dash| StrokeDash::new(dash, 0.0)),
+            ..Stroke::default()
+        };
+        let place = Transform::identity();
+        self.0
+            .stroke_path(path, &paint(ink.into()), &stroke, place, None);
+    }
+
+    /// Writes a line of text with its left end and baseline at `at`, at most `most` pixels wide.
+    pub fn text(&mut self, text: &str, at: [f64; 2], size: f64, most: f64, color: Color) {
+        let line = font::fitting(text, size as f32, most as f32);
+        let mut builder = PathBuilder::new();
+        for (glyph, start) in font::line(&line, size as f32) {
+            let Some(outline) = font::font().outline(glyph) else {
+                continue;
+            };
+            let scale = font::pixels_per_unit(size as f32);
+            let place = |point: ab_glyph::Point| {
+                let x = at[0] as f32 + start + scale * point.x;
+                (x, at[1] as f32 - scale * point.y)
+            };
+            let mut end = None;
+            for curve in outline.curves {
+                let (from, to) = match curve {
+                    OutlineCurve::Line(a, b) => (place(a), place(b)),
+                    OutlineCurve::Quad(a, _, b) => (place(a), place(b)),
+                    OutlineCurve::Cubic(a, _, _, b) => (place(a), place(b)),
+                };
+                if end != Some(from) {
+                    builder.move_to(from.0, from.1);
+                }
+                match curve {
+                    OutlineCurve::Line(..) => builder.line_to(to.0, to.1),
+                    OutlineCurve::Quad(_, by, _) => {
+                        let by = place(by);
+                        builder.quad_to(by.0, by.1, to.0, to.1);
+                    }
+                    OutlineCurve::Cubic(_, by, then, _) => {
+                        let (by, then) = (place(by), place(then));
+                        builder.cubic_to(by.0, by.1, then.0, then.1, to.0, to.1);
+                    }
+                }
+                end = Some(to);
+            }
+        }
+        self.fill(builder.finish().as_ref(), color);
+    }
+}
+
+fn paint(Ink(color, opacity): Ink) -> Paint<'static> {
+    let mut paint = Paint::default();
+    let [r, g, b] = color.0;
+    paint.set_color_rgba8(r, g, b, (255.0 * opacity).round() as u8);
+    paint.anti_alias = true;
+    paint
+}
+
+/// A circle in pixels.
+pub(super) fn circle([x, y]: [f64; 2], radius: f64) -> Option<Path> {
+    PathBuilder::from_circle(x as f32, y as f32, radius as f32)
+}
+
+/// An upright rectangle in pixels.
+pub(super) fn rectangle([x, y]: [f64; 2], [width, height]: [f64; 2]) -> Option<Path> {
+    let corner = tiny_skia::Rect::from_xywh(x as f32, y as f32, width as f32, height as f32);
+    corner.map(PathBuilder::from_rect)
+}
+
+/// A line between two pixels.
+pub(super) fn segment([from, to]: [[f64; 2]; 2]) -> Option<Path> {
+    let mut builder = PathBuilder::new();
+    builder.move_to(from[0] as f32, from[1] as f32);
+    builder.line_to(to[0] as f32, to[1] as f32);
+    builder.finish()
+}
+
+/// Lines in space, each cut at the near plane, as one path.
+pub(super) fn lines<L: IntoIterator<Item = [f64; 3]>>(
+    view: &View,
+    lines: impl IntoIterator<Item = L>,
+) -> Option<Path> {
+    let mut builder = PathBuilder::new();
+    for line in lines {
+        let mut before: Option<[f64; 3]> = None;
+        let mut is_down = false;
+        for point in line {
+            let now = view.seen(point);
+            if let Some(before) = before {
+                let shown = [before, now].map(|place| view.shows(place));
+                if shown.contains(&true) {
+                    let from = if shown[0] {
+                        before
+                    } else {
+                        view.clipped(before, now)
+                    };
+                    let to = if shown[1] {
+                        now
+                    } else {
+                        view.clipped(before, now)
+                    };
+                    let [from, to] =
+                        [from, to].map(|place| view.on_screen(place).map(|v| v as f32));
+                    if !is_down {
+                        builder.move_to(from[0], from[1]);
+                    }
+                    builder.line_to(to[0], to[1]);
+                    is_down = shown[1];
+                }
+            }
+            before = Some(now);
+        }
+    }
+    builder.finish()
+}
+
+/// The part of a polygon before the near plane.
+pub(super) fn area(view: &View, points: impl IntoIterator<Item = [f64; 3]>) -> Option<Path> {
+    let places: Vec<[f64; 3]> = points.into_iter().map(|point| view.seen(point)).collect();
+    let mut builder = PathBuilder::new();
+    let mut add = |place: [f64; 3]| {
+        let [x, y] = view.on_screen(place).map(|value| value as f32);
+        match builder.is_empty() {
+            true => builder.move_to(x, y),
+            false => builder.line_to(x, y),
+        }
     };
-    let distance = (px - part * dx).hypot(py - part * dy);
-    let radius = radii[0] + (radii[1] - radii[0]) * part;
-    // A line thinner than a pixel is fainter, not narrower.
-    (radius - distance + 0.5).clamp(0.0, (2.0 * radius).min(1.0))
+    for (index, &now) in places.iter().enumerate() {
+        let before = places[(index + places.len() - 1) % places.len()];
+        if view.shows(before) != view.shows(now) {
+            add(view.clipped(before, now));
+        }
+        if view.shows(now) {
+            add(now);
+        }
+    }
+    builder.close();
+    builder.finish()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    const BLACK: [u8; 3] = [0; 3];
+    use crate::drawing::{BLACK, WHITE};
 
     /// Total coverage in pixels.
-    fn ink(image: &Image) -> f32 {
-        let values = image.rgb.iter().step_by(3);
-        values.map(|value| 1.0 - f32::from(*value) / 255.0).sum()
+    fn ink(canvas: &Canvas) -> f64 {
+        let pixels = canvas.0.pixels().iter();
+        pixels
+            .map(|pixel| 1.0 - f64::from(pixel.red()) / 255.0)
+            .sum()
     }
 
     #[test]
-    fn strokes_have_the_area_of_a_line_with_round_ends() {
-        for angle in 0..24 {
-            let (sin, cos) = (angle as f32 * std::f32::consts::TAU / 24.0).sin_cos();
-            let mut image = Image::filled(100, 100, [255; 3]);
-            let ends = [[50.0, 50.0], [50.0 + 30.0 * cos, 50.0 + 30.0 * sin]];
-            image.stroke(ends, [4.0, 4.0], BLACK);
-            let expected = 30.0 * 8.0 + std::f32::consts::PI * 16.0;
-            let found = ink(&image);
-            assert!(
-                (found - expected).abs() < 4.0,
-                "{angle}: {found} of {expected}"
-            );
+    fn lines_end_before_the_camera() {
+        let view = View::new([0.0, 1.0, 0.0], 5.0, [200, 200]);
+        let target = [0.0, 1.0, 0.0];
+        let behind = view.eye_to(target).map(|value| -2.0 * value);
+        assert!(!view.shows(view.seen(behind)));
+        let path = lines(&view, [[target, behind]]).expect("a part is before the camera");
+        assert!(path.bounds().width().is_finite());
+        assert!(lines(&view, [[behind, behind]]).is_none());
+        let mut canvas = Canvas::filled([200, 200], WHITE);
+        canvas.fill(
+            area(&view, [target, [1.0, 1.0, 0.0], behind]).as_ref(),
+            BLACK,
+        );
+        assert!(ink(&canvas) > 100.0);
+    }
+
+    #[test]
+    fn a_path_is_covered_once() {
+        let mut canvas = Canvas::filled([100, 100], WHITE);
+        let mut builder = PathBuilder::new();
+        for end in [80.0, 20.0, 80.0] {
+            builder.move_to(50.0, 50.0);
+            builder.line_to(end, 50.0);
         }
+        canvas.stroke(builder.finish().as_ref(), 10.0, Ends::Butt, Ink(BLACK, 0.5));
+        assert!((ink(&canvas) - 300.0).abs() < 3.0, "{}", ink(&canvas));
     }
 
     #[test]
-    fn shapes_have_their_area_in_either_direction() {
-        let mut square = vec![[10.5, 10.5], [30.0, 10.5], [30.0, 40.0], [10.5, 40.0]];
-        for _ in 0..2 {
-            let mut image = Image::filled(64, 64, [255; 3]);
-            image.convex(&square, BLACK);
-            let found = ink(&image);
-            assert!((found - 19.5 * 29.5).abs() < 3.0, "{found}");
-            square.reverse();
-        }
-    }
-
-    #[test]
-    fn shapes_outside_are_clipped() {
-        let mut image = Image::filled(16, 16, [255; 3]);
-        image.stroke([[-50.0, -9.0], [-20.0, 500.0]], [3.0, 9.0], BLACK);
-        image.stroke([[f32::NAN, 0.0], [3.0, 3.0]], [3.0, 9.0], BLACK);
-        let triangle = [[100.0, 100.0], [120.0, 100.0], [120.0, 130.0]];
-        image.convex(&triangle, BLACK);
-        assert_eq!(ink(&image), 0.0);
-        image.stroke([[-1e9, 8.0], [1e9, 8.0]], [1.0, 1.0], BLACK);
-        assert!((ink(&image) - 32.0).abs() < 1.0);
+    fn a_long_name_ends_in_dots() {
+        let width = |text: &str, most: f64| {
+            let mut canvas = Canvas::filled([200, 30], WHITE);
+            canvas.text(text, [5.0, 20.0], 12.0, most, BLACK);
+            let inked = |x: &u32| (0..30).any(|y| canvas.0.pixel(*x, y).unwrap().red() < 200);
+            (0..200).rev().find(inked).unwrap_or(0)
+        };
+        assert!(width("name", 190.0) < 40);
+        let long = width("a very long name that is wider than its pane", 100.0);
+        assert!((90..=105).contains(&long), "{long}");
     }
 }

@@ -1,78 +1,157 @@
 //! Marks on the floor.
 
-use super::camera::Camera;
-use super::canvas::Image;
-use super::palette::{GRID, KEYFRAME, OBSTACLE, PATH, TRAIL};
-use crate::scene::Floor;
+use std::ops::Range;
 
-/// Half size of the grid in meters.
-const GRID_REACH: i32 = 8;
-/// Corners of a circle.
-const CIRCLE: usize = 32;
-/// Radii of a key frame and of the current key frame, meters.
-const KEYFRAME_RADII: [f32; 2] = [0.09, 0.16];
+use tiny_skia::Path;
 
-/// Half the width in pixels of a line with width `metres`, at least half a pixel.
-fn half(scale: f32, metres: f32) -> f32 {
-    (0.5 * scale * metres).max(0.5)
+use super::canvas::{Canvas, Ends, Ink, area, lines};
+use crate::drawing::{Color, DRAWING, Stage, View};
+use crate::scene::SceneObject;
+
+/// The floor of a pane.
+pub(super) struct Ground<'a> {
+    pub stage: &'a Stage<'a>,
+    pub view: &'a View,
+    /// Height in meters.
+    pub level: f64,
+    /// Pixels of a line of width 1.
+    pub scale: f64,
 }
 
-/// A polyline on the ground.
-fn polyline(image: &mut Image, camera: &Camera, points: &[[f32; 2]], width: f32, colour: [u8; 3]) {
-    let on_ground = |[x, z]: [f32; 2]| [x, 0.0, z];
-    for pair in points.windows(2) {
-        if let Some([a, b]) = camera.line(on_ground(pair[0]), on_ground(pair[1])) {
-            let radii = [half(a.scale, width), half(b.scale, width)];
-            image.stroke([a.at, b.at], radii, colour);
+impl Ground<'_> {
+    /// A round grid of squares below the target.
+    pub fn grid(&self, canvas: &mut Canvas) {
+        let (view, table) = (self.view, &DRAWING.floor);
+        let least = view.far / table.most_cells;
+        let cell = 10f64.powf(
+            (self.stage.size / table.size_per_cell)
+                .max(least)
+                .log10()
+                .round(),
+        );
+        let cells = (table.reach * view.far / cell / 2.0).ceil() as i32;
+        let reach = f64::from(cells) * cell;
+        let [x, z] = [view.target[0], view.target[2]].map(|value| (value / cell).round() * cell);
+        let y = self.level;
+        let both = (-cells..=cells).flat_map(|step| {
+            let by = f64::from(step) * cell;
+            let half = (reach * reach - by * by).max(0.0).sqrt();
+            [
+                [[x + by, y, z - half], [x + by, y, z + half]],
+                [[x - half, y, z + by], [x + half, y, z + by]],
+            ]
+        });
+        let width = table.width * self.scale;
+        canvas.stroke(
+            lines(view, both).as_ref(),
+            width,
+            Ends::Butt,
+            DRAWING.light.grid,
+        );
+    }
+
+    /// The root trajectory, faint.
+    pub fn trail(&self, canvas: &mut Canvas, object: &SceneObject, root: usize, color: Color) {
+        let table = &DRAWING.trail;
+        let path = self.course(object, root, 0..object.frames() - 1, table.points);
+        let ink = Ink(color, table.opacity);
+        canvas.stroke(path.as_ref(), table.width * self.scale, Ends::Bent, ink);
+    }
+
+    /// The last seconds of the root trajectory.
+    pub fn recent_trail(
+        &self,
+        canvas: &mut Canvas,
+        object: &SceneObject,
+        root: usize,
+        frame: usize,
+        color: Color,
+    ) {
+        let table = &DRAWING.trail;
+        let from = frame.saturating_sub((table.recent_seconds * object.fps).round() as usize);
+        let path = self.course(object, root, from..frame, table.recent_points);
+        let ink = Ink(color, table.recent_opacity);
+        canvas.stroke(
+            path.as_ref(),
+            table.recent_width * self.scale,
+            Ends::Bent,
+            ink,
+        );
+    }
+
+    /// The root trajectory from the first frame of a range to its end, of about `most` points.
+    fn course(
+        &self,
+        object: &SceneObject,
+        root: usize,
+        frames: Range<usize>,
+        most: usize,
+    ) -> Option<Path> {
+        let step = frames.len().div_ceil(most).max(1);
+        let last = frames.end;
+        let points = frames.step_by(step).chain([last]).map(|frame| {
+            let [x, _, z] = object.joint(frame, root).map(f64::from);
+            [x, self.level, z]
+        });
+        lines(self.view, [points])
+    }
+
+    /// The goal; key frames near `frame` are highlighted.
+    pub fn goal(&self, canvas: &mut Canvas, frame: usize) {
+        let (view, table, theme) = (self.view, &DRAWING.goal, &DRAWING.light);
+        let standing = |[x, z]: [f32; 2]| [f64::from(x), self.level, f64::from(z)];
+        let floor = self.stage.floor;
+        let discs = floor
+            .obstacles
+            .iter()
+            .map(|(center, radius)| self.circle(center.map(f64::from), f64::from(*radius)));
+        let polygons = floor.polygons.iter();
+        let polygons = polygons.map(|corners| corners.iter().map(|at| standing(*at)).collect());
+        for shape in discs.chain(polygons) {
+            let path = area(view, shape);
+            canvas.fill(path.as_ref(), Ink(theme.obstacle, table.area_opacity));
+            canvas.stroke(
+                path.as_ref(),
+                table.width * self.scale,
+                Ends::Bent,
+                theme.obstacle,
+            );
+        }
+        let path = lines(view, [floor.path.iter().map(|at| standing(*at))]);
+        let dash = table.dash.map(|part| part * self.scale);
+        canvas.dashed(
+            path.as_ref(),
+            table.width * self.scale,
+            Ends::Bent,
+            Some(dash),
+            theme.goal,
+        );
+        for (at, place) in &floor.keyframes {
+            let (opacity, width) = match at.abs_diff(frame) <= table.near_frames {
+                true => (table.near_opacity, table.near_ring_width),
+                false => (table.opacity, table.ring_width),
+            };
+            let ring = self.circle(place.map(f64::from), table.keyframe * self.stage.size);
+            let ring = area(view, ring);
+            canvas.fill(ring.as_ref(), Ink(theme.goal, opacity));
+            canvas.stroke(ring.as_ref(), width * self.scale, Ends::Bent, theme.goal);
+            let center = view.seen(standing(*place));
+            if view.shows(center) {
+                let [x, y] = view.on_screen(center);
+                let at_right = [x + 8.0 * self.scale, y - 6.0 * self.scale];
+                let size = DRAWING.label.keyframe_size * self.scale;
+                canvas.text(&at.to_string(), at_right, size, f64::INFINITY, theme.ink);
+            }
         }
     }
-}
 
-/// A disc on the ground.
-fn disc(image: &mut Image, camera: &Camera, [x, z]: [f32; 2], radius: f32, colour: [u8; 3]) {
-    let corners: Option<Vec<[f32; 2]>> = (0..CIRCLE)
-        .map(|corner| {
-            let (sin, cos) = (corner as f32 * std::f32::consts::TAU / CIRCLE as f32).sin_cos();
-            let seen = camera.see([x + radius * cos, 0.0, z + radius * sin])?;
-            Some(seen.at)
-        })
-        .collect();
-    if let Some(corners) = corners {
-        image.convex(&corners, colour);
-    }
-}
-
-/// Static marks: a grid of one meter around `middle`, the goal, and the root trajectory.
-pub(super) fn draw(
-    image: &mut Image,
-    camera: &Camera,
-    middle: [f32; 2],
-    floor: &Floor,
-    trail: &[[f32; 2]],
-) {
-    let [x, z] = middle.map(|value| value.round().clamp(-1e6, 1e6));
-    let reach = GRID_REACH as f32;
-    for step in -GRID_REACH..=GRID_REACH {
-        let step = step as f32;
-        let across = [[x - reach, z + step], [x + reach, z + step]];
-        let along = [[x + step, z - reach], [x + step, z + reach]];
-        polyline(image, camera, &across, 0.012, GRID);
-        polyline(image, camera, &along, 0.012, GRID);
-    }
-    for (centre, radius) in &floor.obstacles {
-        disc(image, camera, *centre, *radius, OBSTACLE);
-    }
-    polyline(image, camera, trail, 0.02, TRAIL);
-    polyline(image, camera, &floor.path, 0.05, PATH);
-    for (_, at) in &floor.keyframes {
-        disc(image, camera, *at, KEYFRAME_RADII[0], KEYFRAME);
-    }
-}
-
-/// The current key frames, enlarged.
-pub(super) fn draw_now(image: &mut Image, camera: &Camera, floor: &Floor, frame: usize) {
-    let now = floor.keyframes.iter();
-    for (_, at) in now.filter(|(key, _)| key.abs_diff(frame) <= 2) {
-        disc(image, camera, *at, KEYFRAME_RADII[1], KEYFRAME);
+    /// Corners of a circle on the ground.
+    pub fn circle(&self, [x, z]: [f64; 2], radius: f64) -> Vec<[f64; 3]> {
+        let corners = DRAWING.goal.corners;
+        let corner = |index: usize| {
+            let (sin, cos) = (index as f64 * std::f64::consts::TAU / corners as f64).sin_cos();
+            [x + radius * cos, self.level, z + radius * sin]
+        };
+        (0..corners).map(corner).collect()
     }
 }

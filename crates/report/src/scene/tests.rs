@@ -81,6 +81,8 @@ fn sides_follow_from_names() {
         ("r_wrist", Side::Right),
         ("lumbar", Side::Middle),
         ("root", Side::Middle),
+        ("ROOT", Side::Middle),
+        ("L-Knee", Side::Left),
         ("neck", Side::Middle),
     ];
     for (name, side) in names {

@@ -1,18 +1,13 @@
 // A camera that orbits a target, and the projection onto a part of the canvas.
 
-const VIEW_ANGLE = (36 * Math.PI) / 180;
-// The part of the picture that figures fill.
-const MARGIN = 0.9;
-
-// The initial angle of the eye above the horizon.
-const FIRST_PITCH = 0.28;
+const VIEW_ANGLE = (DRAWING.camera.view_degrees * Math.PI) / 180;
 
 // The distance from which an eye at the initial pitch sees all `points` from any side. Points are
 // `[reach, rise]`: the distance from the vertical axis through the target, and the height above the
 // target. `aspect` is width by height of the picture.
 const distanceFor = (points, aspect) => {
-  const [sp, cp] = [Math.sin(FIRST_PITCH), Math.cos(FIRST_PITCH)];
-  const half = MARGIN * Math.tan(VIEW_ANGLE / 2);
+  const [sp, cp] = [Math.sin(DRAWING.camera.pitch), Math.cos(DRAWING.camera.pitch)];
+  const half = DRAWING.camera.filled * Math.tan(VIEW_ANGLE / 2);
   let far = 0;
   for (const [reach, rise] of points) {
     const before = Math.abs(rise * cp - reach * sp) / half + reach * cp;
@@ -29,8 +24,8 @@ class Camera {
   }
 
   reset() {
-    this.yaw = 0.6;
-    this.pitch = FIRST_PITCH;
+    this.yaw = DRAWING.camera.yaw;
+    this.pitch = DRAWING.camera.pitch;
     this.zoom = 1;
     this.pan = [0, 0, 0];
   }
@@ -69,7 +64,7 @@ class Camera {
       scale: (0.5 * pane.height) / Math.tan(VIEW_ANGLE / 2),
       x: pane.x + pane.width / 2,
       y: pane.y + pane.height / 2,
-      near: 0.02 * far,
+      near: DRAWING.camera.near * far,
       far,
       at,
     };

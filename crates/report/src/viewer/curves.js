@@ -55,7 +55,7 @@ class Chart {
     this.cursor = element("div", { class: "kg-cursor" });
     const area = element("div", { class: "kg-area" });
     area.append(this.canvas, this.cursor);
-    this.element.append(caption, area, this.legend());
+    this.element.append(caption, this.rows ? besideNames(this.rows, area) : area, this.legend());
     this.seek = seek;
     const pickAt = ({ clientX, clientY }) => {
       const { left, top, width, height } = area.getBoundingClientRect();
@@ -162,12 +162,9 @@ class Chart {
       this.trace(context, line, width, y);
     }
     context.setLineDash([]);
-    context.font = `${10 * ratio}px system-ui, sans-serif`;
-    context.fillStyle = colours.muted;
-    context.textBaseline = "top";
-    context.fillText(short(most), 3 * ratio, 2 * ratio);
-    context.textBaseline = "bottom";
-    context.fillText(short(least), 3 * ratio, height - 2 * ratio);
+    outlined(context, short(most), 3 * ratio, 2 * ratio, "top", ratio, colours);
+    if (short(least) === short(most)) return;
+    outlined(context, short(least), 3 * ratio, height - 2 * ratio, "bottom", ratio, colours);
   }
 
   // If a pixel has many frames, their smallest and largest values are drawn.
@@ -224,31 +221,38 @@ class ContactChart extends Chart {
   }
 
   draw(colours) {
-    const [width, height, context, ratio] = sized(this.canvas);
+    const [width, height, context] = sized(this.canvas);
     timeLines(context, width, height, this.scene, colours);
     const step = height / this.rows.length;
     const [start, end] = this.scene.range;
-    this.rows.forEach(({ label, figure, fps, ranges }, row) => {
+    this.rows.forEach(({ figure, fps, ranges }, row) => {
       context.fillStyle = colourOf(figure);
       const scale = width / ((end - start) * fps);
       for (const [from, to] of ranges) {
         context.fillRect((from - start * fps) * scale, row * step + 0.15 * step, (to - from) * scale, 0.7 * step);
       }
-      rowLabel(context, label, (row + 0.5) * step, ratio, colours);
     });
   }
 }
 
-// The name of a row, at its left.
-const rowLabel = (context, text, middle, ratio, colours) => {
-  context.font = `${10 * ratio}px system-ui, sans-serif`;
-  context.textBaseline = "middle";
+// The names of rows, left of their area.
+const besideNames = (rows, area) => {
+  const [both, names] = [element("div", { class: "kg-rows" }), element("ul", { class: "kg-names" })];
+  names.append(...rows.map(({ label }) => element("li", { title: label }, label)));
+  both.append(names, area);
+  return both;
+};
+
+// Text that is readable over curves.
+const outlined = (context, text, x, y, baseline, ratio, colours) => {
+  context.font = `${11 * ratio}px system-ui, sans-serif`;
+  context.textBaseline = baseline;
   context.fillStyle = colours.ink;
   context.lineWidth = 3 * ratio;
   context.lineJoin = "round";
-  context.strokeStyle = colours.ground;
-  context.strokeText(text, 4 * ratio, middle);
-  context.fillText(text, 4 * ratio, middle);
+  context.strokeStyle = colours.page;
+  context.strokeText(text, x, y);
+  context.fillText(text, x, y);
 };
 
 // Sets the canvas to its size in device pixels, and returns a new context.

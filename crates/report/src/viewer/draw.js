@@ -9,30 +9,20 @@ const mixed = (from, to, part) => {
 };
 
 // One colour for each figure of a scene.
-const FIGURE_COLOURS = [
-  "#4a86e0", "#e58037", "#2fa37a", "#b263c9", "#d0515f", "#8f8a2f", "#17a9c9", "#8a5a3c",
-  "#e273b5", "#6a6f7d", "#86bf2c", "#3b4fb8", "#d4a90f", "#0e6b5c", "#a02a6b", "#f0938a",
-];
-const colourOf = (index) => FIGURE_COLOURS[index % FIGURE_COLOURS.length];
+const colourOf = (index) => DRAWING.figures[index % DRAWING.figures.length];
 
-// Corners and faces of a lone root's body, seen from outside; its front is +z.
-const BODY = [0.17, 0.26, 0.1];
+// Faces of a lone root's body, seen from outside; its front is +z.
 const FACES = [[0, 1, 3, 2], [5, 4, 6, 7], [4, 0, 2, 6], [1, 5, 7, 3], [2, 3, 7, 6], [4, 5, 1, 0]];
-
-// Radius and length of the shaft and of the head of the arrow at the front of a lone root, metres.
-const SHAFT = [0.032, 0.18];
-const HEAD = [0.085, 0.2];
-const ROUND = 10;
 
 // Faces, seen from outside, of a prism or cone along z, without its far end.
 const prism = (near, from, far, to) => {
   const ring = (radius, z) =>
-    Array.from({ length: ROUND }, (_, i) => {
-      const angle = (2 * Math.PI * i) / ROUND;
+    Array.from({ length: DRAWING.root.sides }, (_, i) => {
+      const angle = (2 * Math.PI * i) / DRAWING.root.sides;
       return [radius * Math.cos(angle), radius * Math.sin(angle), z];
     });
   const [a, b] = [ring(near, from), ring(far, to)];
-  const next = (i) => (i + 1) % ROUND;
+  const next = (i) => (i + 1) % DRAWING.root.sides;
   return [[...a].reverse(), ...a.map((place, i) => [place, a[next(i)], b[next(i)], b[i]])];
 };
 
@@ -52,9 +42,11 @@ class Painter {
     const style = getComputedStyle(element);
     const read = (name) => style.getPropertyValue(name).trim();
     this.ink = read("--kg-ink");
+    this.page = read("--kg-page");
     this.ground = read("--kg-stage");
     this.grid = read("--kg-grid");
     this.muted = read("--kg-muted");
+    this.shade = read("--kg-shadow");
     this.contact = read("--kg-contact");
     this.goal = read("--kg-goal");
     this.obstacle = read("--kg-obstacle");
@@ -85,17 +77,18 @@ class Painter {
 
   label(pane) {
     const { context, ratio } = this;
-    context.font = `600 ${12 * ratio}px system-ui, sans-serif`;
+    const { size, left, top, square, text_left } = DRAWING.label;
+    context.font = `600 ${size * ratio}px system-ui, sans-serif`;
     context.textBaseline = "top";
-    let y = pane.y + 9 * ratio;
+    let y = pane.y + top * ratio;
     for (const index of pane.figures) {
       context.fillStyle = colourOf(index);
-      context.fillRect(pane.x + 10 * ratio, y + 1.5 * ratio, 9 * ratio, 9 * ratio);
+      context.fillRect(pane.x + left * ratio, y + 1.5 * ratio, square * ratio, square * ratio);
       context.fillStyle = this.ink;
       const { name } = this.scene.figures[index];
       const level = pane.ground === this.scene.ground ? "" : ` · ground at ${pane.ground.toFixed(2)} m`;
-      context.fillText(name + level, pane.x + 25 * ratio, y, Math.max(1, pane.width - 34 * ratio));
-      y += 17 * ratio;
+      context.fillText(name + level, pane.x + text_left * ratio, y, Math.max(1, pane.width - (text_left + top) * ratio));
+      y += (size + 5) * ratio;
     }
   }
 
@@ -144,8 +137,9 @@ class Painter {
   // A round grid of squares below the target.
   floor() {
     const { context, view, scene } = this;
-    const cell = 10 ** Math.round(Math.log10(scene.size / 2.5));
-    const reach = Math.ceil((1.1 * view.far) / cell / 2) * cell;
+    const table = DRAWING.floor;
+    const cell = 10 ** Math.round(Math.log10(Math.max(scene.size / table.size_per_cell, view.far / table.most_cells)));
+    const reach = Math.ceil((table.reach * view.far) / cell / 2) * cell;
     const [cx, cz] = [view.at[0], view.at[2]].map((value) => Math.round(value / cell) * cell);
     const y = this.level;
     context.beginPath();
@@ -154,15 +148,16 @@ class Painter {
       this.line([[cx + i, y, cz - half], [cx + i, y, cz + half]]);
       this.line([[cx - half, y, cz + i], [cx + half, y, cz + i]]);
     }
-    context.lineWidth = this.ratio;
+    context.lineWidth = table.width * this.ratio;
     context.strokeStyle = this.grid;
     context.stroke();
   }
 
   circle([x, z], radius) {
     const points = [];
-    for (let i = 0; i < 28; i++) {
-      const angle = (i * Math.PI) / 14;
+    const { corners } = DRAWING.goal;
+    for (let i = 0; i < corners; i++) {
+      const angle = (2 * Math.PI * i) / corners;
       const [dx, dz] = [radius * Math.cos(angle), radius * Math.sin(angle)];
       points.push([x + dx, this.level, z + dz]);
     }
@@ -190,50 +185,52 @@ class Painter {
     };
     context.lineJoin = "round";
     context.strokeStyle = colourOf(index);
-    context.globalAlpha = 0.3;
-    context.lineWidth = 1.2 * ratio;
-    line(0, frames - 1, 400);
-    context.globalAlpha = 0.9;
-    context.lineWidth = 2.6 * ratio;
-    line(Math.max(0, frame - Math.round(2 * fps)), frame, 120);
+    const table = DRAWING.trail;
+    context.globalAlpha = table.opacity;
+    context.lineWidth = table.width * ratio;
+    line(0, frames - 1, table.points);
+    context.globalAlpha = table.recent_opacity;
+    context.lineWidth = table.recent_width * ratio;
+    line(Math.max(0, frame - Math.round(table.recent_seconds * fps)), frame, table.recent_points);
     context.globalAlpha = 1;
   }
 
   goals(frame) {
     const { context, scene, ratio } = this;
     const { path, keyframes, obstacles, polygons } = scene.floor;
+    const table = DRAWING.goal;
     const standing = ([x, z]) => [x, this.level, z];
     const shapes = obstacles.map(([centre, radius]) => this.circle(centre, radius));
     shapes.push(...polygons.map((corners) => corners.map(standing)));
-    context.lineWidth = 1.5 * ratio;
+    context.lineWidth = table.width * ratio;
     for (const shape of shapes) {
       context.fillStyle = this.obstacle;
       context.strokeStyle = this.obstacle;
       this.area(shape);
-      context.globalAlpha = 0.35;
+      context.globalAlpha = table.area_opacity;
       context.fill();
       context.globalAlpha = 1;
       context.stroke();
     }
     context.strokeStyle = this.goal;
     if (path.length > 1) {
-      context.setLineDash([6 * ratio, 5 * ratio]);
+      context.setLineDash(table.dash.map((part) => part * ratio));
       context.beginPath();
       this.line(path.map(standing));
       context.stroke();
       context.setLineDash([]);
     }
-    context.font = `${11 * ratio}px system-ui, sans-serif`;
+    context.font = `${DRAWING.label.keyframe_size * ratio}px system-ui, sans-serif`;
     context.textBaseline = "bottom";
     for (const [at, place] of keyframes) {
-      const near = Math.abs(at - frame) <= 2;
-      const ring = this.circle(place, 0.045 * scene.size);
+      const near = Math.abs(at - frame) <= table.near_frames;
+      const ring = this.circle(place, table.keyframe * scene.size);
       this.area(ring);
-      context.globalAlpha = near ? 0.9 : 0.25;
+      context.globalAlpha = near ? table.near_opacity : table.opacity;
       context.fillStyle = this.goal;
       context.fill();
       context.globalAlpha = 1;
-      context.lineWidth = (near ? 3 : 1.8) * ratio;
+      context.lineWidth = (near ? table.near_ring_width : table.ring_width) * ratio;
       context.stroke();
       const centre = seen(this.view, place[0], this.level, place[1]);
       if (centre[2] < this.view.near) continue;
@@ -280,9 +277,9 @@ class Painter {
     context.beginPath();
     for (const { parent, joint } of bones) this.line([flat(parent), flat(joint)]);
     context.lineCap = "round";
-    context.lineWidth = Math.max(ratio, (0.045 * figure.height * view.scale) / view.far);
-    context.strokeStyle = this.ink;
-    context.globalAlpha = 0.13;
+    context.lineWidth = Math.max(ratio, (DRAWING.shadow.width * figure.height * view.scale) / view.far);
+    context.strokeStyle = this.shade;
+    context.globalAlpha = DRAWING.shadow.opacity;
     context.stroke();
     context.globalAlpha = 1;
   }
@@ -290,15 +287,15 @@ class Painter {
   skeleton(figure, colour, pieces) {
     const { context, view, ratio, ground } = this;
     const { bones, spots, count } = figure;
-    const shade = (side) => (side > 0 ? mixed(colour, "#ffffff", 0.3) : side < 0 ? mixed(colour, "#000000", 0.22) : colour);
-    const shades = [shade(-1), shade(0), shade(1)];
+    const { least_width, edge, left_lighter, right_darker } = DRAWING.bone;
+    const shades = [mixed(colour, "#000000", right_darker), colour, mixed(colour, "#ffffff", left_lighter)];
     const ball = (x, y, depth, radius, fill) => {
-      const size = Math.max(1.4 * ratio, (radius * view.scale) / depth);
+      const size = Math.max(DRAWING.ball.least * ratio, (radius * view.scale) / depth);
       context.beginPath();
       context.arc(x, y, size, 0, 2 * Math.PI);
       context.fillStyle = fill;
       context.fill();
-      context.lineWidth = ratio;
+      context.lineWidth = DRAWING.ball.edge * ratio;
       context.strokeStyle = ground;
       context.stroke();
     };
@@ -306,13 +303,13 @@ class Painter {
       const [a, b] = [3 * parent, 3 * joint];
       if (spots[a + 2] < view.near || spots[b + 2] < view.near) continue;
       const depth = (spots[a + 2] + spots[b + 2]) / 2;
-      const width = Math.max(1.2 * ratio, (2 * radius * view.scale) / depth);
+      const width = Math.max(least_width * ratio, (2 * radius * view.scale) / depth);
       const draw = () => {
         context.lineCap = "round";
         context.beginPath();
         context.moveTo(spots[a], spots[a + 1]);
         context.lineTo(spots[b], spots[b + 1]);
-        context.lineWidth = width + 1.6 * ratio;
+        context.lineWidth = width + 2 * edge * ratio;
         context.strokeStyle = ground;
         context.stroke();
         context.lineWidth = width;
@@ -321,13 +318,12 @@ class Painter {
       };
       pieces.push({ depth, draw });
     }
-    const dots = bones.length === 0 ? [...Array(count).keys()] : [];
-    if (figure.head >= 0) dots.push(figure.head);
-    for (const joint of dots) {
-      const other = joint === figure.head ? figure.top : joint;
+    const dots = bones.length === 0 ? Array.from({ length: count }, (_, joint) => [joint, joint, DRAWING.ball.joint]) : [];
+    if (figure.head) dots.push([...figure.head, DRAWING.ball.head]);
+    for (const [joint, other, part] of dots) {
       const [x, y, depth] = [0, 1, 2].map((i) => (spots[3 * joint + i] + spots[3 * other + i]) / 2);
       if (depth < view.near) continue;
-      const radius = (joint === figure.head ? 0.058 : 0.016) * figure.height;
+      const radius = part * figure.height;
       pieces.push({ depth: depth - radius, draw: () => ball(x, y, depth, radius, shades[1]) });
     }
   }
@@ -335,48 +331,50 @@ class Painter {
   // A joint that stands on the ground: a ring below it, and a highlighted joint.
   touch(figure, base, joint, pieces) {
     const { context, view, ratio, contact } = this;
+    const table = DRAWING.contact;
     const at = base + 3 * joint;
     const { positions, spots } = figure;
-    this.area(this.circle([positions[at], positions[at + 2]], 0.055 * figure.height));
-    context.globalAlpha = 0.35;
+    this.area(this.circle([positions[at], positions[at + 2]], table.ring * figure.height));
+    context.globalAlpha = table.ring_opacity;
     context.fillStyle = contact;
     context.fill();
     context.globalAlpha = 1;
     const [x, y, depth] = spots.subarray(3 * joint, 3 * joint + 3);
     if (depth < view.near) return;
-    const size = Math.max(2.5 * ratio, (0.026 * figure.height * view.scale) / depth);
+    const size = Math.max(table.least * ratio, (table.dot * figure.height * view.scale) / depth);
     const draw = () => {
       context.beginPath();
       context.arc(x, y, size, 0, 2 * Math.PI);
       context.fillStyle = contact;
       context.fill();
     };
-    pieces.push({ depth: depth - 0.05 * figure.height, draw });
+    pieces.push({ depth: depth - table.nearer * figure.height, draw });
   }
 
   // A lone root: a body with an arrow to its front if its orientation is known, else a ball; and a
   // vertical line to the ground.
   root(figure, frame, colour, pieces) {
     const { context, view, ratio } = this;
+    const table = DRAWING.root;
     const at = [0, 1, 2].map((axis) => figure.positions[3 * frame + axis]);
     const depth = figure.spots[2];
     if (depth < view.near) return;
     const foot = [at[0], this.level, at[2]];
-    this.area(this.circle([at[0], at[2]], 0.11));
-    context.globalAlpha = 0.16;
-    context.fillStyle = this.ink;
+    this.area(this.circle([at[0], at[2]], table.shadow));
+    context.globalAlpha = DRAWING.shadow.opacity;
+    context.fillStyle = this.shade;
     context.fill();
     context.globalAlpha = 1;
     context.beginPath();
     this.line([at, foot]);
-    context.lineWidth = 1.5 * ratio;
+    context.lineWidth = table.line * ratio;
     context.strokeStyle = this.muted;
     context.stroke();
     if (!figure.orientations) {
       const [x, y] = figure.spots;
       const draw = () => {
         context.beginPath();
-        context.arc(x, y, (0.1 * view.scale) / depth, 0, 2 * Math.PI);
+        context.arc(x, y, (table.ball * view.scale) / depth, 0, 2 * Math.PI);
         context.fillStyle = colour;
         context.fill();
       };
@@ -390,7 +388,8 @@ class Painter {
 
   body(world, at, colour) {
     const { context, view, ratio } = this;
-    const [w, h, d] = BODY;
+    const { body, shaft, head, light: lamp, lighter, darker, edge_darker } = DRAWING.root;
+    const [w, h, d] = body;
     const front = world([0, 0, 1]).map((value, axis) => value - at[axis]);
     // The eye along the direction of the front.
     const towards = [0, 1, 2].reduce((sum, axis) => sum + front[axis] * (view.eye[axis] - at[axis]), 0);
@@ -402,24 +401,24 @@ class Painter {
         const normal = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
         const facing = normal.reduce((sum, value, axis) => sum + value * (view.eye[axis] - a[axis]), 0);
         if (facing <= 0) continue;
-        const light = (0.35 * normal[0] + 0.85 * normal[1] + 0.4 * normal[2]) / Math.hypot(...normal);
+        const light = normal.reduce((sum, value, axis) => sum + value * lamp[axis], 0) / Math.hypot(...normal);
         this.area(points);
-        const shade = light > 0 ? mixed(fill, "#ffffff", 0.45 * light) : mixed(fill, "#000000", -0.4 * light);
+        const shade = light > 0 ? mixed(fill, "#ffffff", lighter * light) : mixed(fill, "#000000", -darker * light);
         context.fillStyle = shade;
         context.fill();
         context.lineJoin = "round";
         context.lineWidth = ratio;
-        context.strokeStyle = isRound ? shade : mixed(fill, "#000000", 0.45);
+        context.strokeStyle = isRound ? shade : mixed(fill, "#000000", edge_darker);
         context.stroke();
       }
     };
     const corner = (i) => [i & 1 ? w : -w, i & 2 ? h : -h, i & 4 ? -d : d];
-    const [neck, tip] = [d + SHAFT[1], d + SHAFT[1] + HEAD[1]];
+    const [neck, tip] = [d + shaft[1], d + shaft[1] + head[1]];
     // Body, shaft and head lie behind one another along the front: from far to near of the eye.
     const parts = [
       [d, () => solid(FACES.map((face) => face.map(corner)), colour)],
-      [neck, () => solid(prism(SHAFT[0], d, SHAFT[0], neck), this.contact, true)],
-      [Infinity, () => solid(prism(HEAD[0], neck, 0, tip), this.contact, true)],
+      [neck, () => solid(prism(shaft[0], d, shaft[0], neck), this.contact, true)],
+      [Infinity, () => solid(prism(head[0], neck, 0, tip), this.contact, true)],
     ];
     const own = parts.findIndex(([end]) => towards < end);
     const order = [...parts.slice(0, own), ...parts.slice(own + 1).reverse(), parts[own]];

@@ -11,10 +11,13 @@ mod thumbnail;
 
 pub use thumbnail::Thumbnail;
 
+use std::sync::LazyLock;
+
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use serde_json::{Value, json};
 
+use crate::drawing::{DRAWING, Figure, TABLE};
 use crate::escape::escape;
 use crate::scene::{Contact, Origins, Scene, SceneObject, Song};
 
@@ -25,23 +28,34 @@ pub const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'unsaf
 
 /// The style sheet of viewers, for elements of class `kg`.
 pub fn style() -> &'static str {
-    include_str!("viewer.css")
+    static STYLE: LazyLock<String> = LazyLock::new(|| {
+        let [light, dark] = [&DRAWING.light, &DRAWING.dark].map(|theme| theme.css());
+        format!(
+            ".kg, .kg-page {{ {light} }}\n@media (prefers-color-scheme: dark) {{ .kg, .kg-page {{ \
+             {dark} }} }}\n{}",
+            include_str!("viewer.css")
+        )
+    });
+    &STYLE
 }
 
 /// The script of viewers. The script fills every [`embed`] of a loaded page, and lists the viewers
 /// in `window.kinegrad.viewers`.
 pub fn script() -> &'static str {
-    concat!(
-        "(() => {\n\"use strict\";\n",
-        include_str!("data.js"),
-        include_str!("camera.js"),
-        include_str!("draw.js"),
-        include_str!("curves.js"),
-        include_str!("origins.js"),
-        include_str!("clock.js"),
-        include_str!("viewer.js"),
-        "})();\n"
-    )
+    static SCRIPT: LazyLock<String> = LazyLock::new(|| {
+        let files = [
+            include_str!("data.js"),
+            include_str!("camera.js"),
+            include_str!("draw.js"),
+            include_str!("curves.js"),
+            include_str!("origins.js"),
+            include_str!("clock.js"),
+            include_str!("viewer.js"),
+        ];
+        let files = files.concat();
+        format!("(() => {{\n\"use strict\";\nconst DRAWING = {TABLE};\n{files}}})();\n")
+    });
+    &SCRIPT
 }
 
 /// Delimiters of the data of a viewer.
@@ -120,6 +134,7 @@ fn object_json(object: &SceneObject, small: bool) -> Value {
         "contacts": contacts.map(contact_json).collect::<Vec<_>>(),
         "charts": named.collect::<Vec<_>>(),
         "curves": encode::curves(&series, frames),
+        "measures": (frames > 0).then(|| Figure::of(object).json()),
         "origins": object.origins.as_ref().filter(|_| !small).map(origins_json),
     })
 }

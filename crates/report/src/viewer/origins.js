@@ -14,11 +14,13 @@ const originated = (scene) =>
     return [{ ...figure.origins, figure: index, fps: figure.fps, name: figure.name, colour }];
   });
 
-// A run of consecutive frames of an example, from colour to colour.
-const fillRun = (context, from, to, top, height, first, last) => {
+// Stops of a gradient: between two of them, colours pass through no other hue.
+const STOPS = 16;
+
+// A run of consecutive frames of an example; `colour` returns the colour of a part of it.
+const fillRun = (context, from, to, top, height, colour) => {
   const gradient = context.createLinearGradient(from, 0, Math.max(to, from + 1), 0);
-  gradient.addColorStop(0, first);
-  gradient.addColorStop(1, last);
+  for (let stop = 0; stop <= STOPS; stop++) gradient.addColorStop(stop / STOPS, colour(stop / STOPS));
   context.fillStyle = gradient;
   context.fillRect(from, top, Math.max(1, to - from), height);
 };
@@ -33,7 +35,7 @@ class OriginChart extends Chart {
     const rows = originated(scene).flatMap((own) =>
       own.parts.map(({ name, runs }) => ({ ...own, runs, label: several ? `${own.name}: ${name}` : name })),
     );
-    super({ title: "place in the examples that each moment comes from", names: [], lines: [], rows }, scene, seek);
+    super({ title: "source frame of each part", names: [], lines: [], rows }, scene, seek);
     this.canvas.style.height = `${Math.max(40, 24 * rows.length)}px`;
   }
 
@@ -45,13 +47,13 @@ class OriginChart extends Chart {
     const [width, height, context, ratio] = sized(this.canvas);
     const step = height / this.rows.length;
     const [begin, end] = this.scene.range;
-    this.rows.forEach(({ label, runs, fps, examples, colour }, row) => {
+    this.rows.forEach(({ runs, fps, examples, colour }, row) => {
       const scale = width / ((end - begin) * fps);
       const [top, tall] = [(row + 0.08) * step, 0.84 * step];
       for (const [start, example, first, frames] of runs) {
         const [from, to] = [start, start + frames].map((frame) => (frame - begin * fps) * scale);
         if (to < 0 || from > width) continue;
-        fillRun(context, from, to, top, tall, colour(example, first), colour(example, first + frames));
+        fillRun(context, from, to, top, tall, (part) => colour(example, first + part * frames));
         const y = (frame) => top + tall * (1 - frame / examples[example].frames);
         context.strokeStyle = colours.ink;
         context.lineWidth = ratio;
@@ -60,7 +62,6 @@ class OriginChart extends Chart {
         context.lineTo(to, y(first + frames));
         context.stroke();
       }
-      rowLabel(context, label, (row + 0.5) * step, ratio, colours);
     });
   }
 }
@@ -79,7 +80,7 @@ class ExampleChart extends Chart {
       })),
     );
     const longest = Math.max(...rows.map(({ frames }) => frames));
-    const chart = { title: "frames of the examples that appear", names: [], lines: [], rows, longest };
+    const chart = { title: "source frames in the examples", names: [], lines: [], rows, longest };
     super(chart, scene, seek);
     this.canvas.setAttribute("aria-label", this.title);
     this.canvas.style.height = `${Math.max(40, 18 * rows.length)}px`;
@@ -106,9 +107,9 @@ class ExampleChart extends Chart {
   }
 
   draw(colours) {
-    const [width, height, context, ratio] = sized(this.canvas);
+    const [width, height, context] = sized(this.canvas);
     const [step, scale] = [height / this.rows.length, width / this.longest];
-    this.rows.forEach(({ label, parts, example, frames, colour }, row) => {
+    this.rows.forEach(({ parts, example, frames, colour }, row) => {
       const [top, tall] = [(row + 0.1) * step, 0.8 * step];
       context.fillStyle = colours.muted;
       context.globalAlpha = 0.25;
@@ -116,10 +117,9 @@ class ExampleChart extends Chart {
       context.globalAlpha = 1;
       for (const [, from, first, count] of parts.flatMap(({ runs }) => runs)) {
         if (from !== example) continue;
-        const ends = [colour(example, first), colour(example, first + count)];
-        fillRun(context, first * scale, (first + count) * scale, top, tall, ...ends);
+        const own = (part) => colour(example, first + part * count);
+        fillRun(context, first * scale, (first + count) * scale, top, tall, own);
       }
-      rowLabel(context, label, (row + 0.5) * step, ratio, colours);
     });
   }
 

@@ -83,11 +83,11 @@ class Viewer {
     const lowest = Math.min(...figures.map((figure) => figure.low[1]));
     const lone = figures.every((figure) => figure.count === 1);
     // Feet stand at 0, unless the file has another origin.
-    const ground = lone || Math.abs(lowest) < 0.3 * size ? 0 : lowest;
+    const ground = lone || Math.abs(lowest) < DRAWING.stage.other_origin * size ? 0 : lowest;
     // A body further above 0 than its height has another origin.
     for (const figure of figures) {
       const above = figure.low[1] - ground;
-      figure.ground = figure.count > 1 && above > figure.height ? figure.low[1] : ground;
+      figure.ground = figure.count > 1 && above > DRAWING.stage.own_ground * figure.height ? figure.low[1] : ground;
     }
     // The part of the time that curves show.
     this.scene = { ...data, figures, seconds, size, ground, range: [0, seconds] };
@@ -97,7 +97,7 @@ class Viewer {
     // The last frame is shown as long as any other, but the time ends at its start.
     this.clock = new Clock(seconds, data.song);
     this.sideBySide = figures.length > 1;
-    this.following = figures.some((figure) => this.extent(figure) > 2.2 * figure.height);
+    this.following = figures.some((figure) => this.extent(figure) > DRAWING.stage.follow_beyond * figure.height);
     this.build();
     this.painter = new Painter(this.canvas.getContext("2d", { alpha: false }), this.scene);
     this.recolour();
@@ -235,7 +235,7 @@ class Viewer {
       const side = Math.min(width / tried, height / Math.ceil(indices.length / tried));
       if (side > best) [best, columns] = [side, tried];
     }
-    const gap = Math.round(2 * this.ratio);
+    const gap = Math.round(DRAWING.stage.gap * this.ratio);
     const rows = Math.ceil(indices.length / columns);
     const [w, h] = [(width + gap) / columns, (height + gap) / rows];
     return indices.map((index) => ({
