@@ -28,6 +28,7 @@ use std::path::Path;
 
 use kinegrad_data::{Digest, Store, manifest, matches};
 
+pub use body::Body;
 pub use captions::Labels;
 pub use report::{ClipTakeReport, ClipsReport};
 
