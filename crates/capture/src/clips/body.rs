@@ -43,7 +43,8 @@ impl Body {
     /// # Errors
     /// If no map fits, the frame rate is below 10, or unit or axis are not found.
     pub fn of_bvh(bvh: &Bvh, units: Option<Units>, up: Option<UpAxis>) -> Result<Self, String> {
-        let places = JointMap::fitting(bvh)?.joints_of(bvh)?;
+        let map = JointMap::fitting(bvh).map_err(|_| "no built-in joint map fits".to_owned())?;
+        let places = map.joints_of(bvh)?;
         let skeleton = Skeleton::humanml3d();
         Self::of_places(places, &skeleton, 1.0 / bvh.frame_time(), units, up)
     }

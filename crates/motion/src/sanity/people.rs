@@ -16,7 +16,7 @@ const PHRASES: [(&str, [f64; 2]); 14] = [
     ("lowest_height", [0.47, 1.02]),
     ("highest_height", [0.88, 1.10]),
     ("turn_rate", [7.5, 286.0]),
-    ("turn_acceleration", [170.0, 2313.0]),
+    ("turn_acceleration", [100.0, 2313.0]),
     ("largest_turn", [0.7, 31.3]),
     ("largest_tilt", [9.0, 34.0]),
     ("phase_rate", [0.28, 0.54]),
