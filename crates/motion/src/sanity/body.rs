@@ -63,13 +63,17 @@ pub(super) fn up_axis(joints: &Joints, skeleton: &Skeleton) -> Option<Check> {
         let up = unit([0, 1, 2].map(up));
         (0..3).for_each(|i| axis[i] += up[i] / joints.frames() as f64);
     }
-    let lowest = |i: usize| range(joints.as_slice().iter().map(|place| place[i]))[0];
+    let lowest = |i: usize| {
+        let heights = joints.as_slice().iter();
+        range(heights.map(|place| axis[i].signum() * place[i]))[0]
+    };
     let along = [0, 2]
         .into_iter()
-        .find(|&i| axis[i] > ALONG && lowest(i).abs() < STANDS);
+        .find(|&i| axis[i].abs() > ALONG && lowest(i).abs() < STANDS);
     along.filter(|_| axis[1] < ACROSS).map(|i| {
+        let sign = if axis[i] < 0.0 { "-" } else { "" };
         let name = ["x", "y", "z"][i];
-        let message = format!("the body stands along {name}; y is up");
+        let message = format!("the body stands along {sign}{name}; y is up");
         Check::new("up_axis", axis[1], Threshold::Above(ACROSS), message)
     })
 }

@@ -136,6 +136,9 @@ fn other_units_and_axes_fail() {
     fails("up_axis", |_, frame| {
         frame.iter_mut().for_each(|place| place.swap(0, 1))
     });
+    fails("up_axis", |_, frame| {
+        (frame.iter_mut()).for_each(|place| *place = [place[0], place[2], -place[1]]);
+    });
     // A body that lies on its back at the origin of the floor stands along no axis.
     let lying = failing(|_, frame| {
         frame.iter_mut().for_each(|place| place.swap(1, 2));
