@@ -93,7 +93,8 @@ fn a_sampled_body_is_measured_beside_the_training_clips() {
         .succeeded();
     // A network after a few steps moves as nobody does.
     for part in [
-        "the sample: speed ",
+        "the sample: speed mean/p99/largest ",
+        " (training ",
         "; jerk ",
         "; skating ",
         "warning: the sample is out of bounds: ",

@@ -14,6 +14,9 @@ const SHOWN: usize = 3;
 pub struct BodyRecord {
     /// Each [`BodyMeasure`] by its name.
     pub measures: BTreeMap<String, MeasureRecord>,
+    /// True if the references are of the training clips, false if they are of captured people.
+    #[serde(default)]
+    pub of_training: bool,
     /// The checks that fail, with frame and joint.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub failed: Vec<String>,
@@ -64,45 +67,53 @@ impl BodyRecord {
         });
         Self {
             measures: measures.collect(),
+            of_training: training
+                .movement
+                .contains_key(BodyMeasure::FastestJoint.name()),
             failed: failed.collect(),
             far: findings.iter().any(BodyFinding::is_far),
         }
     }
 
-    /// Speed, jerk, turns, feet and floor in a line, with the percentiles of training in brackets; `name` is
-    /// that of the sample.
+    /// Speed, jerk, turns, feet and floor in a line, with the percentiles of the reference in
+    /// brackets; `name` is that of the sample.
     pub fn line(&self, name: &str) -> String {
         use BodyMeasure::*;
-        let value = |measure: BodyMeasure| self.measures.get(measure.name());
-        let group = |title: &str, unit: &str, digits: usize, measures: &[BodyMeasure]| {
-            let of = |measure: &BodyMeasure| {
-                let found = value(*measure)?;
-                let training = found.training.map(|[least, most]| {
-                    let bound = if *measure == Lowest { least } else { most };
-                    format!(" ({bound:.digits$})")
-                });
-                Some(format!(
-                    "{:.digits$}{}",
-                    found.value,
-                    training.unwrap_or_default()
-                ))
-            };
-            let values: Vec<String> = measures.iter().filter_map(of).collect();
-            (!values.is_empty()).then(|| format!("{title} {}{unit}", values.join(", ")))
+        let reference = if self.of_training {
+            "training"
+        } else {
+            "people"
         };
+        let group = |title: &str, unit: &str, digits: usize, measures: &[BodyMeasure]| {
+            let found = measures.iter().filter_map(|measure| {
+                let found = self.measures.get(measure.name())?;
+                let bound = found.training.map(|[least, most]| match measure {
+                    Lowest => format!("{least:.digits$}"),
+                    _ => format!("{most:.digits$}"),
+                });
+                Some((
+                    format!("{:.digits$}", found.value),
+                    bound.unwrap_or("-".into()),
+                ))
+            });
+            let (values, bounds): (Vec<String>, Vec<String>) = found.unzip();
+            let (all, bounds) = (values.join("/"), bounds.join("/"));
+            (!values.is_empty()).then(|| format!("{title} {all}{unit} ({reference} {bounds})"))
+        };
+        let (speeds, jerks) = (
+            [MeanSpeed, Speed99, FastestJoint],
+            [MeanJerk, Jerk99, LargestJerk],
+        );
         let groups = [
-            group("speed", " m/s", 2, &[MeanSpeed, Speed99, FastestJoint]),
-            group("jerk", " m/s^3", 0, &[MeanJerk, Jerk99, LargestJerk]),
+            group("speed mean/p99/largest", " m/s", 2, &speeds),
+            group("jerk mean/p99/largest", " m/s^3", 0, &jerks),
             group("turn", " degrees/s", 0, &[LargestTurn]),
             group("skating", "", 2, &[Skating]),
             group("still", "", 2, &[StillShare]),
-            group("floor", " m", 3, &[Lowest, Floating]),
+            group("floor lowest/floating", " m", 3, &[Lowest, Floating]),
         ];
         let groups: Vec<String> = groups.into_iter().flatten().collect();
-        format!(
-            "{name}: {} (in brackets: 99 % of training)",
-            groups.join("; ")
-        )
+        format!("{name}: {}", groups.join("; "))
     }
 
     /// The warning about a body out of bounds; `name` is that of its sample.
