@@ -63,9 +63,10 @@ impl BodyFinding {
     /// The measurement in words.
     fn message(&self, joint_names: Option<&[String]>) -> String {
         let (measure, value) = (self.measure, self.value);
-        let mut message = format!("{} {:.3} {}", measure.title(), value.value, measure.unit());
+        let message = format!("{} {:.3} {}", measure.title(), value.value, measure.unit());
+        let mut message = message.trim_end().to_owned();
         if let Some(frame) = value.frame {
-            message = format!("{} in frame {frame}", message.trim_end());
+            message += &format!(" in frame {frame}");
         }
         if let (Some(joint), Some(names)) = (value.joint, joint_names) {
             message += &format!(", joint {}", names[joint]);

@@ -14,9 +14,6 @@ const SHOWN: usize = 3;
 pub struct BodyRecord {
     /// Each [`BodyMeasure`] by its name.
     pub measures: BTreeMap<String, MeasureRecord>,
-    /// True if the references are of the training clips, false if they are of captured people.
-    #[serde(default)]
-    pub of_training: bool,
     /// The checks that fail, with frame and joint.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub failed: Vec<String>,
@@ -36,8 +33,7 @@ pub struct MeasureRecord {
     /// The joint of an extreme.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub joint: Option<String>,
-    /// 1st and 99th percentile over the training clips, or over captured people where the run does
-    /// not know those.
+    /// 1st and 99th percentile over the training clips, if the run knows them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub training: Option<[f64; 2]>,
 }
@@ -54,7 +50,7 @@ impl BodyRecord {
                 value: value.value,
                 frame: value.frame,
                 joint: value.joint.map(|joint| names[joint].clone()),
-                training: finding.reference,
+                training: training.movement.get(finding.measure.name()).copied(),
             };
             (finding.measure.name().to_owned(), measure)
         });
@@ -75,8 +71,8 @@ impl BodyRecord {
         }
     }
 
-    /// Speed, jerk, turns, feet and floor in a line, with the percentiles of the reference in
-    /// brackets; `name` is that of the sample.
+    /// Speed, jerk, turns, feet and floor in a line, with the percentiles of training in brackets;
+    /// `name` is that of the sample.
     pub fn line(&self, name: &str) -> String {
         use BodyMeasure::*;
         let reference = if self.of_training {
@@ -91,14 +87,15 @@ impl BodyRecord {
                     Lowest => format!("{least:.digits$}"),
                     _ => format!("{most:.digits$}"),
                 });
-                Some((
-                    format!("{:.digits$}", found.value),
-                    bound.unwrap_or("-".into()),
-                ))
+                Some((format!("{:.digits$}", found.value), bound))
             });
-            let (values, bounds): (Vec<String>, Vec<String>) = found.unzip();
-            let (all, bounds) = (values.join("/"), bounds.join("/"));
-            (!values.is_empty()).then(|| format!("{title} {all}{unit} ({reference} {bounds})"))
+            let (values, bounds): (Vec<String>, Vec<Option<String>>) = found.unzip();
+            let known = bounds.iter().any(Option::is_some);
+            let bounds = bounds.into_iter().map(|bound| bound.unwrap_or("-".into()));
+            let bounds = bounds.collect::<Vec<_>>().join("/");
+            let training = known.then(|| format!(" (training {bounds})"));
+            let (all, training) = (values.join("/"), training.unwrap_or_default());
+            (!values.is_empty()).then(|| format!("{title} {all}{unit}{training}"))
         };
         let (speeds, jerks) = (
             [MeanSpeed, Speed99, FastestJoint],
