@@ -63,9 +63,6 @@ impl BodyRecord {
         });
         Self {
             measures: measures.collect(),
-            of_training: training
-                .movement
-                .contains_key(BodyMeasure::FastestJoint.name()),
             failed: failed.collect(),
             far: findings.iter().any(BodyFinding::is_far),
         }
@@ -75,11 +72,6 @@ impl BodyRecord {
     /// `name` is that of the sample.
     pub fn line(&self, name: &str) -> String {
         use BodyMeasure::*;
-        let reference = if self.of_training {
-            "training"
-        } else {
-            "people"
-        };
         let group = |title: &str, unit: &str, digits: usize, measures: &[BodyMeasure]| {
             let found = measures.iter().filter_map(|measure| {
                 let found = self.measures.get(measure.name())?;
