@@ -86,6 +86,46 @@ fn several_goals_are_drawn_as_one_batch_and_a_trajectory_run_alone_gives_paths()
 }
 
 #[test]
+fn a_sampled_body_is_measured_beside_the_training_clips() {
+    let sandbox = trained();
+    let said = sandbox
+        .run("sample runs/gmd_motion --frames 16 --out free")
+        .succeeded();
+    // A network after a few steps moves as nobody does.
+    for part in [
+        "the sample: speed mean/p99/largest ",
+        " (training ",
+        "; jerk ",
+        "; skating ",
+        "warning: the sample is out of bounds: ",
+    ] {
+        assert!(said.stderr.contains(part), "{part}: {}", said.stderr);
+    }
+    let text = fs::read_to_string(sandbox.path("free.json")).expect("a record");
+    let body = serde_json::from_str::<Value>(&text).expect("JSON")["body"].clone();
+    assert!(!body["failed"].as_array().expect("failed").is_empty());
+    let fastest = &body["measures"]["fastest_joint"];
+    let frame = fastest["frame"].as_u64().expect("a frame") as usize;
+    let places = read_array(&sandbox.path("free.npy"))
+        .expect("joints")
+        .values;
+    let (places, _) = places.as_chunks::<3>();
+    let (frames, _) = places.as_chunks::<22>();
+    let speed = |joint: usize| {
+        let step =
+            [0, 1, 2].map(|axis| frames[frame][joint][axis] - frames[frame - 1][joint][axis]);
+        20.0 * f64::from(step.iter().map(|part| part * part).sum::<f32>().sqrt())
+    };
+    let largest = (0..22).map(speed).fold(0.0, f64::max);
+    let value = fastest["value"].as_f64().expect("a speed");
+    assert!((largest / value - 1.0).abs() < 1e-3, "{largest}: {body}");
+    assert!(fastest["training"][1].as_f64() > Some(0.0), "{body}");
+    let checked = sandbox.run("check free.npy --run runs/gmd_motion");
+    let checked = checked.failed(1, &[]).stdout;
+    assert!(checked.contains("FAIL "), "{checked}");
+}
+
+#[test]
 fn a_root_out_of_bounds_is_sampled_again_and_reported_with_its_frame() {
     let sandbox = trained();
     // A step across the disc is inside it, although no frame is.

@@ -6,6 +6,7 @@ mod audio_ablation;
 mod bad_input;
 mod beats;
 mod bodies;
+mod broken;
 mod captions;
 mod checking;
 mod checkpoints;

@@ -49,10 +49,7 @@ impl Reading {
     /// The reading options of the command line.
     pub fn of(arguments: &ReadingArguments) -> Self {
         Self {
-            bvh: BvhReading {
-                units: arguments.units,
-                up: arguments.up,
-            },
+            bvh: BvhReading::of(&arguments.bvh),
             fps: arguments.fps,
             ..Self::default()
         }

@@ -1,7 +1,9 @@
 //! Measures of how a body moves, from the positions of its joints.
 
+use crate::derivatives::jerk_of;
 use crate::humanml::{Joints, Skeleton};
-use crate::metrics::{fastest_step, jerk_norms, lowest_heights, sliding_ratio};
+use crate::metrics::{fastest_step, jerk_norms, lowest_heights, mean_jerk, sliding_ratio};
+use crate::moments;
 use crate::quantiles::{median, percentile};
 use crate::sanity::{Bounds, FACTOR, Margin};
 use crate::vector::{dot, length, minus, plus};
@@ -17,10 +19,18 @@ const GLIDE_OFFSET: f64 = 0.05;
 pub enum BodyMeasure {
     /// Largest speed of the root on the ground, metres per second.
     FastestRoot,
+    /// Mean speed of the joints, metres per second.
+    MeanSpeed,
+    /// 99th percentile over joints and frames of the speed, metres per second.
+    Speed99,
     /// Largest speed of a joint, metres per second.
     FastestJoint,
+    /// Mean jerk norm of the joints, metres per second cubed.
+    MeanJerk,
     /// 99th percentile over joints and frames of the jerk norm, metres per second cubed.
     Jerk99,
+    /// Largest jerk norm of a joint, metres per second cubed.
+    LargestJerk,
     /// Largest angle between the axes across hips and shoulders of neighbouring frames, degrees per
     /// second.
     LargestTurn,
@@ -55,10 +65,14 @@ pub struct BodyValue {
 
 impl BodyMeasure {
     /// All measures.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 15] = [
         Self::FastestRoot,
+        Self::MeanSpeed,
+        Self::Speed99,
         Self::FastestJoint,
+        Self::MeanJerk,
         Self::Jerk99,
+        Self::LargestJerk,
         Self::LargestTurn,
         Self::StillShare,
         Self::Glide,
@@ -73,8 +87,12 @@ impl BodyMeasure {
     pub fn name(self) -> &'static str {
         match self {
             Self::FastestRoot => "fastest_root",
+            Self::MeanSpeed => "mean_speed",
+            Self::Speed99 => "speed_p99",
             Self::FastestJoint => "fastest_joint",
+            Self::MeanJerk => "mean_jerk",
             Self::Jerk99 => "jerk_p99",
+            Self::LargestJerk => "largest_jerk",
             Self::LargestTurn => "largest_turn",
             Self::StillShare => "still_share",
             Self::Glide => "glide",
@@ -90,8 +108,12 @@ impl BodyMeasure {
     pub fn title(self) -> &'static str {
         match self {
             Self::FastestRoot => "largest speed of the root",
+            Self::MeanSpeed => "mean speed of the joints",
+            Self::Speed99 => "99th percentile of the joints' speed",
             Self::FastestJoint => "largest speed of a joint",
+            Self::MeanJerk => "mean jerk of the joints",
             Self::Jerk99 => "99th percentile of the joints' jerk",
+            Self::LargestJerk => "largest jerk of a joint",
             Self::LargestTurn => "largest turn rate of the body",
             Self::StillShare => "share of the steps without movement",
             Self::Glide => "speed of the root relative to that of the limbs",
@@ -106,8 +128,8 @@ impl BodyMeasure {
     /// Its unit, empty for a ratio.
     pub fn unit(self) -> &'static str {
         match self {
-            Self::FastestRoot | Self::FastestJoint => "m/s",
-            Self::Jerk99 => "m/s^3",
+            Self::FastestRoot | Self::MeanSpeed | Self::Speed99 | Self::FastestJoint => "m/s",
+            Self::MeanJerk | Self::Jerk99 | Self::LargestJerk => "m/s^3",
             Self::LargestTurn => "degrees/s",
             Self::Lowest | Self::Floating | Self::LegLength => "m",
             Self::StillShare | Self::Glide | Self::Skating | Self::RootHeight => "",
@@ -133,7 +155,9 @@ impl BodyMeasure {
                 harmless: 360.0,
                 end: f64::INFINITY,
             },
-            Self::Jerk99 => Bounds::Upper(FACTOR),
+            Self::Jerk99 | Self::LargestJerk => Bounds::Upper(FACTOR),
+            // The extremes are checked, and the mean jerk against the 95th percentile.
+            Self::MeanSpeed | Self::Speed99 | Self::MeanJerk => Bounds::Unchecked,
             Self::Glide => Bounds::Upper(FACTOR),
             Self::StillShare => Bounds::NotAbove(margin(0.0, 0.3)),
             Self::Skating => Bounds::NotAbove(margin(0.0, 0.2)),
@@ -149,10 +173,20 @@ impl BodyMeasure {
         matches!(self, Self::FastestRoot | Self::Jerk99)
     }
 
-    /// Its value; `None` if the clip is too short or the skeleton has no legs. A root without a
-    /// skeleton has speed and jerk alone.
+    /// Whether it is a speed or a jerk. Motion beyond [`FAR`](Self::FAR) times their bound is not
+    /// usable.
+    pub fn is_of_speed(self) -> bool {
+        let jerk = matches!(self, Self::Jerk99 | Self::LargestJerk);
+        jerk || matches!(self, Self::FastestRoot | Self::FastestJoint)
+    }
+
+    /// Multiple of the bound of a speed or a jerk from which on a motion is not usable.
+    pub const FAR: f64 = 2.0;
+
+    /// Its value; `None` if the clip is too short, the skeleton has no legs, or the measure needs a
+    /// skeleton that is not given. A root alone has speed and jerk.
     pub fn of(self, joints: &Joints, skeleton: Option<&Skeleton>, fps: f64) -> Option<BodyValue> {
-        if skeleton.is_none() && !self.is_of_a_root() {
+        if joints.joints() == 1 && !self.is_of_a_root() {
             return None;
         }
         let frames = joints.frames();
@@ -181,6 +215,14 @@ impl BodyMeasure {
                 let fastest = fastest_step(&ground.collect::<Vec<_>>(), fps)?;
                 Some(peak(fastest.speed, Some(fastest.frame), Some(0)))
             }
+            Self::MeanSpeed => {
+                let speeds: Vec<f64> = each().map(joint_speed).collect();
+                (!speeds.is_empty()).then(|| mean(moments::mean(speeds.into_iter())))
+            }
+            Self::Speed99 => {
+                let speeds: Vec<f64> = each().map(joint_speed).collect();
+                (!speeds.is_empty()).then(|| mean(percentile(speeds, 99.0)))
+            }
             Self::FastestJoint => {
                 let fastest = extreme(each().map(|at| (at, joint_speed(at))));
                 fastest.map(|((t, joint), value)| peak(value, Some(t + 1), Some(joint)))
@@ -188,6 +230,16 @@ impl BodyMeasure {
             Self::Jerk99 => {
                 let jerks = jerk_norms(joints, fps);
                 (!jerks.is_empty()).then(|| mean(percentile(jerks, 99.0)))
+            }
+            Self::MeanJerk => mean_jerk(joints, fps).map(mean),
+            Self::LargestJerk => {
+                let jerks = (0..joints.joints()).flat_map(|joint| {
+                    let jerks = jerk_of(&joints.track(joint), fps).into_iter().enumerate();
+                    // A jump into a frame has its largest jerk two frames earlier.
+                    jerks.map(move |(t, jerk)| ((t + 2, joint), length(jerk)))
+                });
+                let largest = extreme(jerks);
+                largest.map(|((t, joint), value)| peak(value, Some(t), Some(joint)))
             }
             Self::LargestTurn => {
                 let face = skeleton?.description().face_joints;

@@ -65,7 +65,9 @@ pub use representation::{
     phrase_statistics,
 };
 pub use rotation::Quaternion;
-pub use sanity::{Check, Profile, Report, Threshold, Value, check};
+pub use sanity::{
+    BodyFinding, CapturedBody, Check, Profile, Report, Threshold, Value, check, check_capture,
+};
 pub use statistics::Statistics;
 
 /// Largest number of frames of a motion or song: two hours at 30 frames per second.

@@ -36,6 +36,8 @@ const HARMLESS_TILT: f64 = 20.0;
 pub enum MotionMeasure {
     /// Mean speed of the root along its path, metres per second.
     PathSpeed,
+    /// Largest speed of the root from one frame to the next, metres per second.
+    FastestStep,
     /// Mean norm of the second difference of the positions, metres per second squared.
     PathAcceleration,
     /// Mean norm of the third difference of the positions, metres per second cubed.
@@ -68,8 +70,9 @@ pub enum MotionMeasure {
 
 impl MotionMeasure {
     /// All measures.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::PathSpeed,
+        Self::FastestStep,
         Self::PathAcceleration,
         Self::PathJerk,
         Self::Travel,
@@ -90,6 +93,7 @@ impl MotionMeasure {
     pub fn name(self) -> &'static str {
         match self {
             Self::PathSpeed => "path_speed",
+            Self::FastestStep => "fastest_step",
             Self::PathAcceleration => "path_acceleration",
             Self::PathJerk => "path_jerk",
             Self::Travel => "travel",
@@ -111,6 +115,7 @@ impl MotionMeasure {
     pub fn title(self) -> &'static str {
         match self {
             Self::PathSpeed => "mean speed along the path",
+            Self::FastestStep => "largest speed of the root",
             Self::PathAcceleration => "mean acceleration of the path",
             Self::PathJerk => "mean jerk of the path",
             Self::Travel => "mean travel in a second",
@@ -131,7 +136,7 @@ impl MotionMeasure {
     /// Its unit.
     pub fn unit(self) -> &'static str {
         match self {
-            Self::PathSpeed => "m/s",
+            Self::PathSpeed | Self::FastestStep => "m/s",
             Self::PathAcceleration => "m/s^2",
             Self::PathJerk => "m/s^3",
             Self::Travel
@@ -152,7 +157,9 @@ impl MotionMeasure {
     pub fn bounds(self) -> Bounds {
         match self {
             // Low values (even turning, even counting, standing) are plausible.
-            Self::LargestTurn | Self::LargestPhaseStep | Self::Travel => Bounds::Upper(FACTOR),
+            Self::FastestStep | Self::LargestTurn | Self::LargestPhaseStep | Self::Travel => {
+                Bounds::Upper(FACTOR)
+            }
             Self::LargestTilt => Bounds::UpperBeyond {
                 factor: FACTOR,
                 harmless: HARMLESS_TILT,
@@ -179,6 +186,10 @@ impl MotionMeasure {
         };
         match self {
             Self::PathSpeed => nth(1),
+            Self::FastestStep => {
+                let velocity = differences(&motion.vectors(POSITION), FPS);
+                largest(velocity.into_iter().map(length).collect())
+            }
             Self::PathAcceleration => nth(2),
             Self::PathJerk => nth(3),
             Self::Travel => {
@@ -278,6 +289,7 @@ mod tests {
         let motion = constant_motion(121);
         let expected = [
             0.6,
+            0.6,
             0.0,
             0.0,
             0.6,
@@ -335,6 +347,7 @@ mod tests {
             let measures = match channel {
                 0 => vec![
                     MotionMeasure::PathSpeed,
+                    MotionMeasure::FastestStep,
                     MotionMeasure::PathJerk,
                     MotionMeasure::Travel,
                 ],
@@ -392,7 +405,7 @@ mod tests {
     #[test]
     fn too_few_frames_have_no_value() {
         // From how many frames on each has one.
-        let needed = [2, 3, 4, 31, 1, 1, 1, 2, 3, 2, 1, 2, 2, 2, 2];
+        let needed = [2, 2, 3, 4, 31, 1, 1, 1, 2, 3, 2, 1, 2, 2, 2, 2];
         for frames in [1, 2, 3, 4, 30, 31] {
             let motion = constant_motion(frames);
             for (measure, needed) in MotionMeasure::ALL.into_iter().zip(needed) {

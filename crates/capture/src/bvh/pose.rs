@@ -53,6 +53,22 @@ impl Bvh {
         }
     }
 
+    /// The largest angle between the orientations of the trunk in neighboring frames, degrees, and
+    /// the frame that the step ends in; `None` for a single frame. The trunk is the first joint of
+    /// several children, or the root.
+    pub fn largest_turn(&self) -> Option<(usize, f64)> {
+        let children = |parent| self.joints.iter().filter(move |j| j.parent == Some(parent));
+        let trunk = (0..self.joints.len()).find(|&joint| children(joint).count() > 1);
+        let orientation = |t| self.world_of(trunk.unwrap_or(0), t).orientation;
+        let turn = |t: usize| {
+            let cosine = orientation(t - 1).dot(orientation(t)).abs();
+            (t, 2.0 * cosine.min(1.0).acos().to_degrees())
+        };
+        (1..self.frames())
+            .map(turn)
+            .max_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
     /// [`world`](Self::world) of one joint, from its ancestors alone.
     fn world_of(&self, joint: usize, t: usize) -> RootPose {
         let mut joint = &self.joints[joint];

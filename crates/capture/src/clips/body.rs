@@ -8,8 +8,9 @@ use kinegrad_motion::time_stretch::spline;
 use kinegrad_motion::vector::{length, minus, plus};
 
 use super::centres::Centres;
+use super::map::JointMap;
 use crate::plan::Units;
-use crate::{C3d, UpAxis};
+use crate::{Bvh, C3d, UpAxis};
 
 /// Usual length of a leg, hip to ankle, metres.
 const LEGS: std::ops::RangeInclusive<f64> = 0.5..=1.1;
@@ -22,21 +23,35 @@ const SLOWEST: f64 = 10.0;
 
 /// The joints of a body over a take.
 #[derive(Clone, Debug)]
-pub(super) struct Body {
+pub struct Body {
     /// Joint positions, `[frames, J]`, metres, +y up.
     pub joints: Joints,
     /// Frames per second.
     pub rate: f64,
+    /// Length of the file's unit, metres.
     pub metres_per_unit: f64,
     /// The axis of the file that points up.
     pub up: UpAxis,
+    /// Doubts about the capture, in words.
     pub notes: Vec<String>,
 }
 
 impl Body {
+    /// The 22 joints of HumanML3D in a BVH capture, by the built-in joint map that fits. By default
+    /// `units` follow from the length of the legs, and `up` follows from the place of the head.
+    ///
+    /// # Errors
+    /// If no map fits, the frame rate is below 10, or unit or axis are not found.
+    pub fn of_bvh(bvh: &Bvh, units: Option<Units>, up: Option<UpAxis>) -> Result<Self, String> {
+        let map = JointMap::fitting(bvh).map_err(|_| "no built-in joint map fits".to_owned())?;
+        let places = map.joints_of(bvh)?;
+        let skeleton = Skeleton::humanml3d();
+        Self::of_places(places, &skeleton, 1.0 / bvh.frame_time(), units, up)
+    }
+
     /// The body of a capture of markers, with estimated joint centres ([`Centres`]). Every marker
     /// must be seen in the frames that are `used`.
-    pub fn of_markers(
+    pub(super) fn of_markers(
         take: &C3d,
         used: Range<usize>,
         skeleton: &Skeleton,
@@ -64,7 +79,7 @@ impl Body {
 
     /// The body with its joints at `places`, `[frames, J]`, in units and axes of a file. By default
     /// `units` follow from the length of the legs, and `up` follows from the place of the head.
-    pub fn of_places(
+    pub(super) fn of_places(
         places: Vec<[f64; 3]>,
         skeleton: &Skeleton,
         rate: f64,

@@ -29,6 +29,7 @@ use std::path::Path;
 
 use kinegrad_data::{Digest, Store, manifest, matches};
 
+pub use body::Body;
 pub use captions::Labels;
 pub use reading::read_body;
 pub use report::{ClipTakeReport, ClipsReport};

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use kinegrad_motion::Profile;
 
+use super::reading::BvhArguments;
 use super::sample::SamplerArguments;
 use super::values::named;
 
@@ -14,9 +15,10 @@ use super::values::named;
 Examples:
   kinegrad check dance.npy
   kinegrad check runs/quickstart/samples --profile strict --run runs/quickstart
+  kinegrad check capture.bvh --units cm
   kinegrad check dance.npy --json")]
 pub struct CheckArguments {
-    /// Motion files (.npy), or folders of them
+    /// Motion files (.npy, .bvh), or folders of them
     #[arg(required = true, value_name = "PATH")]
     pub paths: Vec<PathBuf>,
     /// Checks: `strict`, on every frame, with bounds from training motion, or from captured people
@@ -32,6 +34,8 @@ pub struct CheckArguments {
     /// Also check NAME.raw.npy, the model output, beside each NAME.npy
     #[arg(long)]
     pub raw: bool,
+    #[command(flatten)]
+    pub bvh: BvhArguments,
     /// Print JSON
     #[arg(long)]
     pub json: bool,

@@ -6,9 +6,9 @@ use kinegrad_capture::UpAxis;
 
 use super::values::named;
 
-/// Facts that motion files do not contain.
+/// Facts that BVH files do not contain.
 #[derive(Debug, Args)]
-pub struct ReadingArguments {
+pub struct BvhArguments {
     /// Unit of BVH files: m, cm, mm, inch, cmu, or a number of meters [default: guessed from the
     /// height of the body]
     #[arg(long, value_parser = units)]
@@ -16,6 +16,13 @@ pub struct ReadingArguments {
     /// Axis of BVH files that points up: y or z [default: guessed from the feet]
     #[arg(long, value_parser = named::<UpAxis>, value_name = "AXIS")]
     pub up: Option<UpAxis>,
+}
+
+/// Facts that motion files do not contain.
+#[derive(Debug, Args)]
+pub struct ReadingArguments {
+    #[command(flatten)]
+    pub bvh: BvhArguments,
     /// Frames per second of joint positions whose skeleton is unknown
     #[arg(long, default_value_t = 30.0, value_name = "FPS")]
     pub fps: f64,

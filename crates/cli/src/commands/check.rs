@@ -1,6 +1,7 @@
 //! `kinegrad check`
 
-use std::path::Path;
+mod motion;
+
 use std::process::ExitCode;
 
 use kinegrad_data::humanml::SkeletonName;
@@ -9,12 +10,12 @@ use kinegrad_motion::{Profile, Report, Representation, Statistics};
 use kinegrad_report::table;
 use kinegrad_train::checkpoint::State;
 use kinegrad_train::{Error, Systems};
-use miette::Diagnostic;
 use serde_json::json;
 
+use self::motion::Motion;
 use super::sample::checkpoint;
 use crate::args::CheckArguments;
-use crate::io::{BvhReading, Motion, is_bvh, motion_files, with_raw};
+use crate::io::{BvhReading, motion_files, with_raw};
 use crate::output;
 
 /// Checks each file; exit code 1 if any fails.
@@ -23,33 +24,33 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
     let mut of_people = false;
     // The statistics of files with so many channels.
     let mut measured: Option<(usize, Option<Statistics>)> = None;
-    let mut files = motion_files(&arguments.paths, &["npy"])?;
+    let mut files = motion_files(&arguments.paths, &["npy", "bvh"])?;
     if arguments.raw {
         files = with_raw(files);
     }
     let strict = arguments.profile != Profile::Ccmotion;
     let run = arguments.run.as_deref().filter(|_| strict);
     let state = run.map(checkpoint).transpose()?.map(|saved| saved.state);
+    let reading = BvhReading::of(&arguments.bvh);
     for path in files {
-        if is_bvh(&path) {
-            let message = format!("{} is a BVH file, which cannot be checked", path.display());
-            let hint = "check .npy files; `kinegrad view` and `kinegrad plot` show BVH files";
-            return Err(Error::usage(message, hint));
+        let motion = Motion::read(systems, &path, &reading)?;
+        if let (Motion::Capture(_), Profile::Ccmotion) = (&motion, arguments.profile) {
+            return Err(Error::usage(
+                format!("{}: the profile `ccmotion` checks arrays", path.display()),
+                "BVH files are checked by the profile `strict`",
+            ));
         }
-        let array = match Motion::read(systems, &path, &BvhReading::default())? {
-            Motion::Array(array) => array,
-            Motion::Points(joints, error) => return Err(unknown(&path, joints.joints(), &error)),
-            Motion::Bvh(_) => unreachable!("refused above"),
-        };
-        let representation = array.representation;
-        let channels = representation.stored_channels();
-        if measured.as_ref().is_none_or(|(of, _)| *of != channels) {
-            let found = statistics(&arguments, state.as_ref(), &*representation)?;
-            measured = Some((channels, found));
+        if let Some(representation) = motion.representation() {
+            let channels = representation.stored_channels();
+            if measured.as_ref().is_none_or(|(of, _)| *of != channels) {
+                let found = statistics(&arguments, state.as_ref(), representation)?;
+                measured = Some((channels, found));
+            }
         }
-        let statistics = measured.as_ref().and_then(|(_, found)| found.as_ref());
-        let report = representation.check(&array.values, arguments.profile, statistics);
-        of_people |= strict && statistics.is_none_or(|known| known.movement.is_empty());
+        let known = measured.as_ref().and_then(|(_, found)| found.as_ref());
+        let known = known.filter(|_| motion.representation().is_some());
+        let report = motion.check(arguments.profile, known);
+        of_people |= strict && known.is_none_or(|known| known.movement.is_empty());
         reports.push((path.display().to_string(), report));
     }
     let passed = reports.iter().filter(|(_, report)| report.passed).count();
@@ -61,6 +62,9 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
     } else {
         for (path, report) in &reports {
             say!("{path}\n{}\n", report_table(report));
+            for check in report.checks.iter().filter(|check| !check.passed) {
+                say!("FAIL {}: {}\n", check.name, check.message);
+            }
         }
         if of_people {
             say!(
@@ -73,16 +77,6 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
         }
     }
     Ok(ExitCode::from(u8::from(passed < reports.len())))
-}
-
-/// The error for joints of an unknown skeleton.
-fn unknown(path: &Path, joints: usize, error: &Error) -> Error {
-    let known = error.help().map(|hint| hint.to_string());
-    let (path, known) = (path.display(), known.unwrap_or_default());
-    Error::usage(
-        format!("{path}: {joints} joints of an unknown skeleton cannot be checked"),
-        format!("{known}; `kinegrad view` and `kinegrad plot` show joints of any skeleton"),
-    )
 }
 
 /// The statistics of `--run` or `--source`, in this `representation`.

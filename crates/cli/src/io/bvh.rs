@@ -9,6 +9,7 @@ use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_train::Error;
 
 use super::find::has_extension;
+use crate::args::BvhArguments;
 use crate::output::unusable;
 
 /// Largest file that is read, bytes.
@@ -63,12 +64,24 @@ pub struct BvhReading {
     pub up: Option<UpAxis>,
 }
 
+impl BvhReading {
+    /// The options of the command line.
+    pub fn of(arguments: &BvhArguments) -> Self {
+        Self {
+            units: arguments.units,
+            up: arguments.up,
+        }
+    }
+}
+
 /// A BVH file, its unit in meters, and its vertical axis.
 pub struct Capture {
     /// The motion in the file's own units and axes.
     pub bvh: Bvh,
-    metres: f64,
-    up: UpAxis,
+    /// Length of the file's unit, meters.
+    pub metres: f64,
+    /// The axis that points up.
+    pub up: UpAxis,
 }
 
 impl Capture {

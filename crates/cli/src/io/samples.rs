@@ -30,7 +30,7 @@ pub struct Files {
     stem: String,
     overwrite: bool,
     bar: Option<Denoising>,
-    /// Prints neither files nor notes.
+    /// Prints neither files nor notes; warnings are printed.
     is_silent: bool,
     /// Collects the samples in `collected` instead of printing their files.
     pub(crate) collects: bool,
@@ -196,7 +196,9 @@ impl SampleSink for Files {
     }
 
     fn note(&mut self, text: &str) {
-        tell!("{text}");
+        if !self.is_silent {
+            tell!("{text}");
+        }
     }
 
     fn warning(&mut self, text: &str) {

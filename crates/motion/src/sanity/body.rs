@@ -1,10 +1,10 @@
 //! Checks of a body: bones, axes and the measures of its movement.
 
-use super::{Check, JERK_FACTOR, Profile, Report, Threshold, finite, people, range};
+use super::{BodyFinding, Check, JERK_FACTOR, Profile, Report, Threshold, finite, people, range};
 use crate::humanml::{Joints, Skeleton};
 use crate::metrics::mean_jerk;
 use crate::vector::{length, minus, unit};
-use crate::{BodyMeasure, BodyValue, Representation, Statistics};
+use crate::{Representation, Statistics};
 
 /// Allowed variation of a bone's length, relative to its mean.
 const BONE_TOLERANCE: f64 = 0.05;
@@ -46,33 +46,14 @@ pub(crate) fn check<R: Representation + ?Sized>(
     let jerk_p95 = statistics.and_then(|training| training.jerk_p95);
     let jerk_p95 = jerk_p95.or(skeleton.map(|_| people::JERK_P95));
     checks.extend(jerk_p95.and_then(|jerk_p95| jerk(joints, fps, jerk_p95)));
-    let people = people::bodies();
-    for measure in BodyMeasure::ALL {
-        let known = statistics.and_then(|training| training.movement.get(measure.name()));
-        let bounds = known.or_else(|| people.get(measure.name())).copied();
-        let threshold = bounds.and_then(|bounds| measure.bounds().threshold(bounds, 1.0));
-        if let (Some(threshold), Some(value)) = (threshold, measure.of(joints, skeleton, fps)) {
-            let message = message(measure, value, skeleton);
-            checks.push(Check::new(measure.name(), value.value, threshold, message));
-        }
-    }
+    let names = skeleton.map(|skeleton| &skeleton.description().joint_names[..]);
+    let findings = BodyFinding::all(joints, skeleton, fps, statistics);
+    checks.extend(findings.iter().filter_map(|finding| finding.check(names)));
     Report::new(checks)
 }
 
-/// The measurement in words, with the frame and the joint of an extreme.
-fn message(measure: BodyMeasure, value: BodyValue, skeleton: Option<&Skeleton>) -> String {
-    let mut message = format!("{} {:.3} {}", measure.title(), value.value, measure.unit());
-    if let Some(frame) = value.frame {
-        message = format!("{} in frame {frame}", message.trim_end());
-    }
-    if let (Some(joint), Some(skeleton)) = (value.joint, skeleton) {
-        message += &format!(", joint {}", skeleton.description().joint_names[joint]);
-    }
-    message
-}
-
 /// A check that fails where a body stands along another axis than y.
-fn up_axis(joints: &Joints, skeleton: &Skeleton) -> Option<Check> {
+pub(super) fn up_axis(joints: &Joints, skeleton: &Skeleton) -> Option<Check> {
     let [left, _, right, _] = skeleton.contact_joints();
     let face = skeleton.description().face_joints;
     let mut axis = [0.0; 3];
@@ -82,13 +63,17 @@ fn up_axis(joints: &Joints, skeleton: &Skeleton) -> Option<Check> {
         let up = unit([0, 1, 2].map(up));
         (0..3).for_each(|i| axis[i] += up[i] / joints.frames() as f64);
     }
-    let lowest = |i: usize| range(joints.as_slice().iter().map(|place| place[i]))[0];
+    let lowest = |i: usize| {
+        let heights = joints.as_slice().iter();
+        range(heights.map(|place| axis[i].signum() * place[i]))[0]
+    };
     let along = [0, 2]
         .into_iter()
-        .find(|&i| axis[i] > ALONG && lowest(i).abs() < STANDS);
+        .find(|&i| axis[i].abs() > ALONG && lowest(i).abs() < STANDS);
     along.filter(|_| axis[1] < ACROSS).map(|i| {
+        let sign = if axis[i] < 0.0 { "-" } else { "" };
         let name = ["x", "y", "z"][i];
-        let message = format!("the body stands along {name}; y is up");
+        let message = format!("the body stands along {sign}{name}; y is up");
         Check::new("up_axis", axis[1], Threshold::Above(ACROSS), message)
     })
 }
@@ -119,7 +104,7 @@ fn speed(joints: &Joints, fps: f64, rms_speed: f64) -> Check {
     Check::new("speed", rms, allowed, message)
 }
 
-fn jerk(joints: &Joints, fps: f64, jerk_p95: f64) -> Option<Check> {
+pub(super) fn jerk(joints: &Joints, fps: f64, jerk_p95: f64) -> Option<Check> {
     let mean = mean_jerk(joints, fps)?;
     let message = format!("mean jerk of the joints: {mean:.1} m/s^3");
     let allowed = Threshold::AtMost(JERK_FACTOR * jerk_p95);

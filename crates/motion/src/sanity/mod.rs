@@ -8,7 +8,9 @@
 
 pub(crate) mod body;
 mod bounds;
+mod capture;
 mod ccmotion;
+mod finding;
 mod people;
 mod report;
 mod strict;
@@ -17,6 +19,8 @@ use serde::{Deserialize, Serialize};
 
 pub(crate) use bounds::FACTOR;
 pub use bounds::{Bounds, Margin};
+pub use capture::{CapturedBody, check_capture};
+pub use finding::BodyFinding;
 pub use report::{Check, Report, Threshold, Value};
 
 use crate::derivatives::mean_jerk_norm;

@@ -331,10 +331,7 @@ impl Sampler for Clips<'_> {
         let summary = goals.map(|goals| Summary::Text(format!("{goals}{}", speeds(&grounds))));
         for (number, (sample, ground)) in samples.into_iter().zip(grounds).enumerate() {
             let (job, index) = (number / count, number % count);
-            let name = match run.name(job, index) {
-                name if name.is_empty() => "the sample".to_string(),
-                name => format!("sample {}", name.trim_start_matches('-')),
-            };
+            let name = run.title(job, index);
             if ground.rejected > 0 {
                 run.sink.note(&format!(
                     "{name} is attempt {} (at most {}, `steering.attempts`): the root's path was out \

@@ -3,7 +3,10 @@
 use kinegrad_data::humanml::Clip;
 use kinegrad_motion::path::PathReport;
 
-use super::{Condition, Generated, Names, Record, Request, Sample, SampleSink, Summary, item_seed};
+use super::{
+    BodyRecord, Condition, Generated, Names, Record, Request, Sample, SampleSink, Summary,
+    item_seed,
+};
 use crate::TrainedModel;
 use crate::error::Error;
 
@@ -122,7 +125,16 @@ impl Run<'_> {
         }
     }
 
-    /// Passes a sample to the sink.
+    /// The name of a sample in messages.
+    pub fn title(&self, job: usize, index: usize) -> String {
+        match self.name(job, index) {
+            name if name.is_empty() => "the sample".to_owned(),
+            name => format!("sample {}", name.trim_start_matches('-')),
+        }
+    }
+
+    /// Passes a sample to the sink. A body is measured, and a warning names what is out of the
+    /// bounds of the training motion.
     ///
     /// # Errors
     /// If the sample cannot be stored.
@@ -131,15 +143,30 @@ impl Run<'_> {
         job: usize,
         index: usize,
         generated: Generated,
-        record: Record,
+        mut record: Record,
     ) -> Result<(), Error> {
         let path = record.path.as_ref();
         self.paths.extend(path.map(|path| deviation(&path.report)));
+        if let Generated::Clip {
+            joints, skeleton, ..
+        } = &generated
+        {
+            let statistics = &self.trained.saved.state.statistics;
+            record.body = Some(BodyRecord::of(joints, skeleton, statistics));
+        }
+        let (body, title) = (record.body.clone(), self.title(job, index));
         self.sink.sample(Sample {
             name: self.name(job, index),
             files: generated.files(),
             record,
-        })
+        })?;
+        if let Some(body) = body {
+            self.sink.note(&body.line(&title));
+            if let Some(warning) = body.warning(&title) {
+                self.sink.warning(&warning);
+            }
+        }
+        Ok(())
     }
 }
 

@@ -4,6 +4,7 @@
 //! [`Sampler`]. [`Systems::sample`](crate::system::Systems::sample) rejects conditions that the
 //! recipe does not accept, checks memory, and names and records the samples.
 
+mod body;
 mod condition;
 mod generated;
 mod ground;
@@ -16,6 +17,7 @@ mod seed;
 mod sink;
 mod style;
 
+pub use body::{BodyRecord, MeasureRecord};
 pub use condition::{
     Condition, GoalCondition, KnownFramesCondition, OtherCondition, PathFile, TrajectoryCondition,
 };

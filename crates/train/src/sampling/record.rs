@@ -8,7 +8,7 @@ use kinegrad_motion::postprocess::PostProcessConfig;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::{Condition, GroundRecord, condition};
+use super::{BodyRecord, Condition, GroundRecord, condition};
 use crate::TrainedModel;
 use crate::checkpoint::Weights;
 use crate::config::ClipSample;
@@ -59,6 +59,9 @@ pub struct Record {
     /// The root's path on the ground, for clips of Guided Motion Diffusion.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ground: Option<GroundRecord>,
+    /// The measures of the body, for models of clips.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub body: Option<BodyRecord>,
     /// The conditions, a map by name; empty for an unconditional sample.
     #[serde(with = "condition::as_map")]
     pub condition: Vec<Condition>,
@@ -191,6 +194,7 @@ impl Record {
             composition: None,
             path: None,
             ground: None,
+            body: None,
             condition: Vec::new(),
             batch: None,
         }

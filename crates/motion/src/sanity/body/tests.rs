@@ -136,6 +136,9 @@ fn other_units_and_axes_fail() {
     fails("up_axis", |_, frame| {
         frame.iter_mut().for_each(|place| place.swap(0, 1))
     });
+    fails("up_axis", |_, frame| {
+        (frame.iter_mut()).for_each(|place| *place = [place[0], place[2], -place[1]]);
+    });
     // A body that lies on its back at the origin of the floor stands along no axis.
     let lying = failing(|_, frame| {
         frame.iter_mut().for_each(|place| place.swap(1, 2));
@@ -186,4 +189,78 @@ fn a_root_alone_has_speed_and_jerk() {
     };
     assert!(check(0.06).is_empty());
     assert_eq!(check(1.5), ["fastest_root"]);
+}
+
+#[test]
+fn a_jump_into_a_frame_has_its_largest_jerk_there() {
+    let mut rows = walk();
+    (31..FRAMES).for_each(|t| rows[(t * 22 + 20) * 3] += 2.0);
+    let report = representation().check(&rows, Profile::Strict, None);
+    let message = &report.check("largest_jerk").expect("a check").message;
+    assert!(
+        message.ends_with("in frame 31, joint left_wrist"),
+        "{message}"
+    );
+    let joints = representation().joints(&rows).expect("finite");
+    let skeleton = Skeleton::humanml3d();
+    let far = BodyFinding::all(&joints, Some(&skeleton), 20.0, None);
+    let far: Vec<&str> = far
+        .iter()
+        .filter(|finding| finding.is_far())
+        .map(|finding| finding.measure.name())
+        .collect();
+    // 40 m/s is less than twice the bound.
+    assert_eq!(far, ["largest_jerk"]);
+}
+
+#[test]
+fn a_capture_is_checked_at_the_rate_of_its_file() {
+    // Five frames for each of the reference rate, and a flip in one of those between.
+    let course = Course {
+        speed: Box::new(|_| 1.1),
+        turning: Box::new(|_| 0.0),
+    };
+    let places = joints(&course, &Skeleton::humanml3d(), FRAMES);
+    let coarse = Joints::new(places, 22).expect("finite");
+    let frame = |t: usize| {
+        let (from, part) = ((t / 5).min(FRAMES - 2), (t % 5) as f64 / 5.0);
+        let pairs = coarse.frame(from).iter().zip(coarse.frame(from + 1));
+        let between =
+            pairs.map(|(a, b)| [0, 1, 2].map(|axis| a[axis] + part * (b[axis] - a[axis])));
+        let mut places: Vec<[f64; 3]> = between.collect();
+        if t == 202 {
+            let [x, _, z] = places[0];
+            for place in &mut places {
+                (place[0], place[2]) = (2.0 * x - place[0], 2.0 * z - place[2]);
+            }
+        }
+        places
+    };
+    let fine = Joints::new((0..5 * FRAMES - 9).flat_map(frame).collect(), 22).expect("finite");
+    let skeleton = Skeleton::humanml3d();
+    let names = &skeleton.description().joint_names;
+    let checked = |skeleton, largest_turn| {
+        let captured = crate::CapturedBody {
+            joints: &fine,
+            fps: 100.0,
+            resampled: &coarse,
+            resampled_fps: 20.0,
+            joint_names: names,
+            skeleton,
+            largest_turn,
+        };
+        failed(crate::check_capture(&captured, None))
+    };
+    assert_eq!(
+        checked(Some(&skeleton), None),
+        ["fastest_joint", "largest_turn"]
+    );
+    // Without a skeleton, a turn that is measured elsewhere counts.
+    assert_eq!(checked(None, None), ["fastest_joint"]);
+    let turn = crate::BodyValue {
+        value: 2000.0,
+        frame: Some(202),
+        joint: None,
+    };
+    assert_eq!(checked(None, Some(turn)), ["fastest_joint", "largest_turn"]);
 }
