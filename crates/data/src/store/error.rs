@@ -26,7 +26,7 @@ pub enum StoreError {
         reason: String,
     },
     /// Every attempt failed.
-    #[error("{object}: cannot {action} after {}: {reason}", counted(*attempts as usize, "attempt"))]
+    #[error("{object}: cannot {action} after {}: {reason}", counted(*attempts, "attempt"))]
     #[diagnostic(help(
         "check the path, its permissions and the free space, and for an address the network; \
          data.store.max_retries and data.store.timeout_seconds say how long kinegrad tries"
