@@ -241,6 +241,15 @@ impl Goal {
         }
         GroundTargets::point_to_point(&self.keyframes, self.frames)
     }
+
+    /// The positions that the published program uses in a phase of the sampler.
+    pub fn targets(&self, phase: Phase) -> Option<GroundTargets> {
+        match phase {
+            Phase::Dense => Some(self.dense()),
+            Phase::Points => Some(self.points()),
+            Phase::Off => None,
+        }
+    }
 }
 
 #[cfg(test)]

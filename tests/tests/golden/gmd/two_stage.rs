@@ -263,6 +263,7 @@ fn compare(golden: &Golden, variant: &Variant) {
             0.0
         },
         imputation: true,
+        detours: false,
         second_stage_guidance: variant.guided[1],
         first_stage_steps: None,
         first_stage_guidance_scale: None,
