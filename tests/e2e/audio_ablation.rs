@@ -108,7 +108,7 @@ fn ccmotion_models_depend_on_the_set_of_frames_and_aligned_ones_on_their_order()
         "2.5: beat-phase error, beats",
         "2.5: diversity",
         "95 % bootstrap intervals",
-        "3 phrases have no known number of beats in a bar",
+        "3 phrases without a known number of beats in a bar",
         "eval-audio-ablation.json",
     ] {
         assert!(

@@ -248,9 +248,9 @@ fn lasting_faults_end_with_the_object_s_name() {
     for (fault, expected) in [
         (Fault::Status(500), "500"),
         (Fault::Status(429), "429"),
-        (Fault::Reset, "after 2 attempt(s)"),
-        (Fault::Truncate, "after 2 attempt(s)"),
-        (Fault::Stall, "after 2 attempt(s)"),
+        (Fault::Reset, "after 2 attempts"),
+        (Fault::Truncate, "after 2 attempts"),
+        (Fault::Stall, "after 2 attempts"),
         (Fault::Corrupt, "not those in manifest.parquet"),
     ] {
         let (_folder, server, mut config) = web(true);

@@ -310,7 +310,9 @@ proptest! {
         let outcome = case.run(Mode::Fused, &leaves);
         let mut tensors = doubled(&leaves);
         let expected = evaluate(&case, &Tensors(&tensors));
-        let scale = expected.values.iter().fold(1e-3_f64, |a, v| a.max(v.abs()));
+        // 1 + erf is of single precision: small outputs of GELU have the error of the input's size.
+        let least = if matches!(case.operation, Operation::Gelu) { 0.03 } else { 1e-3 };
+        let scale = expected.values.iter().fold(least, |a: f64, v| a.max(v.abs()));
         for (found, expected) in outcome.output.iter().zip(&expected.values) {
             let error = (f64::from(*found) - expected).abs() / scale;
             prop_assert!(error < 1e-5, "output {found} instead of {expected}");

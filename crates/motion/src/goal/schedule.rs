@@ -29,9 +29,9 @@ pub struct GuidanceSchedule {
     /// Last timestep at which keyframes act.
     pub points_until: usize,
     /// Last timestep at which positions are imputed into the motion model's samples (1 in the
-    /// published demonstration). The default is `points_until`, which always ends guidance. Without
-    /// a trajectory model, keyframes end at `points_until` at the latest: the motion would jump to
-    /// single imputed frames.
+    /// published demonstration). The default is 0 along a path or with a trajectory model, else
+    /// `points_until`, which always ends guidance. Without a trajectory model, keyframes end at
+    /// `points_until` at the latest: the motion would jump to single imputed frames.
     pub motion_until: Option<usize>,
 }
 

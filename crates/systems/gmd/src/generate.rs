@@ -189,7 +189,11 @@ impl ClipGenerator {
         let lengths: Vec<usize> = requests.iter().map(ClipRequest::length).collect();
         let frames = lengths.iter().copied().max().unwrap_or(0);
         let own = sampled_frames(self.config(), frames);
-        let steering = &self.steering;
+        // The second stage has a position for each frame.
+        let steering = &match trajectory {
+            Some(_) => self.steering.along_path(),
+            None => self.steering.clone(),
+        };
         let stage = Stage {
             texts: &texts,
             goals: &goals,

@@ -228,7 +228,8 @@ fn settings(
     let recipe = architecture.recipe().name();
     // The published programs sample the padding, and neither limit guidance nor sample again.
     let text = format!(
-        "[train]\nrecipe = \"{recipe}\"\n[steering]\npadding = \"sampled\"\nmax_shift = 1e6\nattempts = 1\ndetours = false\n"
+        "[train]\nrecipe = \"{recipe}\"\n[steering]\npadding = \"sampled\"\nmax_shift = 1e6\nattempts = 1\n\
+         detours = false\n[steering.schedule]\nmotion_until = 20\n"
     );
     let mut config = Systems(&[&Gmd]).parse(&text, "the recipe's defaults", &request.overrides)?;
     let [mean, std] = mean_and_deviation(mean_path, std_path)?;

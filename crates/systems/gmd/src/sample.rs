@@ -220,9 +220,9 @@ impl<'a> Clips<'a> {
 
     fn record(&self, run: &Run<'_>, job: usize, index: usize) -> Record {
         let own = &self.trained.config().own::<GmdConfig>().steering;
-        let (padding, steering) = match &self.path {
-            Some(_) => own.along_path().record(),
-            None => own.record(),
+        let (padding, steering) = match self.path.is_some() || self.trajectory.is_some() {
+            true => own.along_path().record(),
+            false => own.record(),
         };
         let steered = self.clips[job].goal.is_some();
         let mut record = run.record(job, index);

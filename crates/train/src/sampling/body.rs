@@ -9,6 +9,19 @@ use serde::{Deserialize, Serialize};
 /// Most measures in a warning.
 const SHOWN: usize = 3;
 
+/// The measures of a line, with titles and decimals.
+const LINE: [(BodyMeasure, &str, usize); 9] = [
+    (BodyMeasure::MeanSpeed, "mean speed", 2),
+    (BodyMeasure::FastestJoint, "fastest joint", 2),
+    (BodyMeasure::MeanJerk, "mean jerk", 0),
+    (BodyMeasure::Jerk99, "99th percentile", 0),
+    (BodyMeasure::LargestTurn, "largest turn", 0),
+    (BodyMeasure::Skating, "skating", 2),
+    (BodyMeasure::StillShare, "still", 2),
+    (BodyMeasure::Lowest, "lowest joint", 3),
+    (BodyMeasure::Floating, "floating", 3),
+];
+
 /// The measures of a sampled body.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BodyRecord {
@@ -68,41 +81,33 @@ impl BodyRecord {
         }
     }
 
-    /// Speed, jerk, turns, feet and floor in a line, with the percentiles of training in brackets;
-    /// `name` is that of the sample.
-    pub fn line(&self, name: &str) -> String {
-        use BodyMeasure::*;
-        let group = |title: &str, unit: &str, digits: usize, measures: &[BodyMeasure]| {
-            let found = measures.iter().filter_map(|measure| {
-                let found = self.measures.get(measure.name())?;
-                let bound = found.training.map(|[least, most]| match measure {
-                    Lowest => format!("{least:.digits$}"),
-                    _ => format!("{most:.digits$}"),
-                });
-                Some((format!("{:.digits$}", found.value), bound))
+    /// Speed, jerk, turns, feet and floor of `bodies` in a line, with the percentiles of training in
+    /// brackets: means over the bodies, and of extremes the furthest. `None` without bodies.
+    pub fn line(bodies: &[Self]) -> Option<String> {
+        use BodyMeasure::{FastestJoint, LargestTurn, Lowest};
+        let found = LINE.iter().filter_map(|(measure, title, digits)| {
+            let of_each = bodies.iter();
+            let of_each = of_each.filter_map(|body| body.measures.get(measure.name()));
+            let values = of_each.clone().map(|found| found.value);
+            let count = values.clone().count() as f64;
+            let value = match measure {
+                Lowest => values.reduce(f64::min),
+                FastestJoint | LargestTurn => values.reduce(f64::max),
+                _ => values
+                    .reduce(|sum, value| sum + value)
+                    .map(|sum| sum / count),
+            }?;
+            let training = of_each.clone().find_map(|found| found.training);
+            let training = training.map(|[least, most]| {
+                let bound = if *measure == Lowest { least } else { most };
+                format!(" (training {bound:.digits$})")
             });
-            let (values, bounds): (Vec<String>, Vec<Option<String>>) = found.unzip();
-            let known = bounds.iter().any(Option::is_some);
-            let bounds = bounds.into_iter().map(|bound| bound.unwrap_or("-".into()));
-            let bounds = bounds.collect::<Vec<_>>().join("/");
-            let training = known.then(|| format!(" (training {bounds})"));
-            let (all, training) = (values.join("/"), training.unwrap_or_default());
-            (!values.is_empty()).then(|| format!("{title} {all}{unit}{training}"))
-        };
-        let (speeds, jerks) = (
-            [MeanSpeed, Speed99, FastestJoint],
-            [MeanJerk, Jerk99, LargestJerk],
-        );
-        let groups = [
-            group("speed mean/p99/largest", " m/s", 2, &speeds),
-            group("jerk mean/p99/largest", " m/s^3", 0, &jerks),
-            group("turn", " degrees/s", 0, &[LargestTurn]),
-            group("skating", "", 2, &[Skating]),
-            group("still", "", 2, &[StillShare]),
-            group("floor lowest/floating", " m", 3, &[Lowest, Floating]),
-        ];
-        let groups: Vec<String> = groups.into_iter().flatten().collect();
-        format!("{name}: {}", groups.join("; "))
+            let (unit, training) = (measure.unit(), training.unwrap_or_default());
+            let value = format!("{title} {value:.digits$} {unit}");
+            Some(format!("{}{training}", value.trim_end()))
+        });
+        let found: Vec<String> = found.collect();
+        (!found.is_empty()).then(|| found.join("; "))
     }
 
     /// The warning about a body out of bounds; `name` is that of its sample.

@@ -129,7 +129,7 @@ mod tests {
         let text = hop.warning("walk").expect("out of bounds");
         for part in [
             "not usable",
-            "in 1 frames, deepest in frame 2 (0.30 m)",
+            "in 1 frame, deepest in frame 2 (0.30 m)",
             "0.90 m from the origin",
         ] {
             assert!(text.contains(part), "{text}");

@@ -99,6 +99,8 @@ pub struct Run<'a> {
     pub(crate) is_one_batch: bool,
     /// Distances from paths, one line per sample.
     pub(crate) paths: Vec<String>,
+    /// The measures of the bodies among the samples.
+    pub(crate) bodies: Vec<BodyRecord>,
 }
 
 impl Run<'_> {
@@ -161,10 +163,10 @@ impl Run<'_> {
             record,
         })?;
         if let Some(body) = body {
-            self.sink.note(&body.line(&title));
             if let Some(warning) = body.warning(&title) {
                 self.sink.warning(&warning);
             }
+            self.bodies.push(body);
         }
         Ok(())
     }

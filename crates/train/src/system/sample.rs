@@ -1,10 +1,12 @@
 //! Sampling from requests.
 
+use kinegrad_settings::counted;
+
 use super::{System, Systems};
 use crate::TrainedModel;
 use crate::error::Error;
 use crate::memory::must_fit;
-use crate::sampling::{Job, Names, Request, Run, SampleSink, Sampler, Summary};
+use crate::sampling::{BodyRecord, Job, Names, Request, Run, SampleSink, Sampler, Summary};
 
 impl Systems<'_> {
     /// Generates motion with the model `trained` and passes each sample, with its
@@ -41,8 +43,13 @@ impl Systems<'_> {
             names,
             is_one_batch: sampler.is_one_batch(),
             paths: Vec::new(),
+            bodies: Vec::new(),
         };
         let summary = sampler.sample(&mut run)?;
+        if let Some(line) = BodyRecord::line(&run.bodies) {
+            run.sink
+                .note(&format!("{}: {line}", counted(run.bodies.len(), "sample")));
+        }
         Ok(match run.paths.is_empty() {
             true => summary,
             false => Some(Summary::Text(run.paths.join("\n"))),
