@@ -89,7 +89,8 @@ pub struct Job {
     /// Coordinates of the root.
     pub heading: Heading,
     /// Tries further noise and a higher coherence as long as the motion is beyond the bounds of
-    /// [`Quality`](crate::Quality). Jobs with content or fixed parts are not tried again.
+    /// [`Quality`](crate::Quality), then locked feet. Jobs with content or fixed parts are not tried
+    /// again, and feet of loops and of motions with key frames are not locked.
     pub adapts: bool,
     /// Division of the body.
     pub parts: PartChoice,
@@ -243,12 +244,21 @@ impl Job {
                 break;
             }
         }
-        let (_, attempt, layout, synthesis, mut bvh) = best.expect("one motion or more");
+        let (excess, attempt, layout, synthesis, mut bvh) = best.expect("one motion or more");
         let jerk = usual.map(|usual| percentile_95(&jerks(&bvh)) / usual.max(f64::MIN_POSITIVE));
         let mut sliding = None;
-        if self.lock_feet {
-            let (locked, slid) = lock_feet(&layout, &bvh, examples, &parts, &synthesis.origins)?;
-            (bvh, sliding) = (locked, Some(slid));
+        // Feet that creep in every attempt are locked if the motion gains by it.
+        let creeps = adapts && excess > 1.0 && constraints.is_empty() && !is_loop;
+        if self.lock_feet || creeps {
+            let locked = lock_feet(&layout, &bvh, examples, &parts, &synthesis.origins);
+            let gains = |locked: &Bvh| reference.quality(locked).excess() < excess;
+            match locked {
+                Ok((locked, slid)) if self.lock_feet || gains(&locked) => {
+                    (bvh, sliding) = (locked, Some(slid));
+                }
+                Err(error) if self.lock_feet => return Err(error),
+                _ => {}
+            }
         }
         Ok(Made {
             settings: tried[attempt].clone(),

@@ -311,7 +311,7 @@ proptest! {
         let mut tensors = doubled(&leaves);
         let expected = evaluate(&case, &Tensors(&tensors));
         // 1 + erf is of single precision: small outputs of GELU have the error of the input's size.
-        let least = if matches!(case.operation, Operation::Gelu) { 0.03 } else { 1e-3 };
+        let least = if matches!(case.operation, Operation::Gelu) { 0.06 } else { 1e-3 };
         let scale = expected.values.iter().fold(least, |a: f64, v| a.max(v.abs()));
         for (found, expected) in outcome.output.iter().zip(&expected.values) {
             let error = (f64::from(*found) - expected).abs() / scale;

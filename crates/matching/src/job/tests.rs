@@ -266,6 +266,11 @@ fn a_motion_without_a_patch_is_refused() {
 
 /// A body that sways above its feet; one foot rests while the other swings.
 fn stepping() -> Example {
+    swaying(25.0)
+}
+
+/// A body that sways, with feet that swing by an angle in degrees.
+fn swaying(swing: f64) -> Example {
     let mut text = crate::motion_matrix::tests::text(1, 1.0 / 30.0);
     text = text.replace("Foot", "Shin").replace("Leg", "Thigh");
     for side in ["Left", "Right"] {
@@ -279,7 +284,7 @@ fn stepping() -> Example {
     text += "Frames: 90\nFrame Time: 0.0333333\n";
     for t in 0..90 {
         let seconds = f64::from(t) / 30.0;
-        let swing = |phase: f64| 25.0 * (5.0 * seconds + phase).sin().max(0.0);
+        let swing = |phase: f64| swing * (5.0 * seconds + phase).sin().max(0.0);
         text += &format!("0 0 0 0 0 0 {} 90 0 0 0 0", 3.0 * (2.0 * seconds).sin());
         for phase in [0.0, 3.1] {
             text += &format!(" {} 0 0 0 0 {}", -swing(phase), swing(phase));
@@ -321,6 +326,29 @@ fn feet_are_locked_where_those_of_the_example_rest() {
         moved += usize::from(apart(foot) > 1e-3);
     }
     assert!(moved > 0);
+}
+
+#[test]
+fn feet_that_creep_in_every_attempt_are_locked() {
+    // A body that stands on locked feet and sways.
+    let standing = Job {
+        lock_feet: true,
+        ..job()
+    };
+    let mut example = swaying(0.0);
+    example.bvh = standing.make(&[example.clone()]).unwrap().bvh;
+    for seed in 0..2 {
+        let adapting = Job {
+            seed,
+            adapts: true,
+            ..job()
+        };
+        let made = adapting.make(&[example.clone()]).unwrap();
+        let slid = made.sliding.expect("locked feet");
+        assert!(slid.before > 0.1 && slid.after < 1e-3, "{slid:?}");
+        let free = Job { seed, ..job() }.make(&[example.clone()]).unwrap();
+        assert!(made.quality.excess() < free.quality.excess());
+    }
 }
 
 #[test]

@@ -137,6 +137,19 @@ impl Figure {
             if length < limits.least_length * self.height {
                 continue;
             }
+            // A lone joint far from a root without other children is the body; the root is a place on
+            // the floor.
+            let children = object
+                .parents
+                .iter()
+                .filter(|other| **other == Some(parent));
+            if object.parents[parent].is_none()
+                && children.count() == 1
+                && length > limits.most_root_length * self.height
+            {
+                self.root = joint;
+                continue;
+            }
             let name = bare(object, joint).to_lowercase();
             let thick = match FINGERS.iter().any(|finger| name.contains(finger)) {
                 true => limits.finger_radius,
@@ -270,6 +283,13 @@ mod tests {
         }
         let figure = Figure::of(&apart);
         assert_eq!((figure.bones.len(), figure.root), (2, 1));
+        // Nor is the way from a place on the floor to the body.
+        let mut held = body(40);
+        held.parents = vec![None, Some(0), Some(1), Some(1)];
+        for row in held.positions.chunks_exact_mut(12) {
+            row.copy_from_slice(&[0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.2, 1.5, 0.0, -0.2, 1.5, 0.0]);
+        }
+        assert_eq!(Figure::of(&held).root, 1);
     }
 
     #[test]

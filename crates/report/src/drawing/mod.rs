@@ -100,6 +100,7 @@ groups! {
         most_of_length: f64,
         least_length: f64,
         most_spread: f64,
+        most_root_length: f64,
         least_width: f64,
         edge: f64,
         left_lighter: f64,

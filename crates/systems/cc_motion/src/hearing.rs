@@ -104,7 +104,7 @@ impl Hearing {
         Ok(unheard.map(|agreement| {
             format!(
                 "{}; beat features (`data.audio_features`), more steps or more songs help",
-                hearing(&agreement.error, None)
+                hearing(&agreement.error, self.phrases.len(), None)
             )
         }))
     }

@@ -308,6 +308,14 @@ impl Sampler for Clips<'_> {
             true => keys(seed, requests.len()).collect(),
             false => self.jobs.iter().flat_map(of_job).collect(),
         };
+        let longest = requests.iter().map(ClipRequest::length).max().unwrap_or(0);
+        let trained = self.trained.config().data.target_frames;
+        if longest > trained {
+            run.sink.warning(&format!(
+                "clips of {longest} frames are longer than those of training (`data.target_frames`, \
+                 {trained}): no frame may be usable"
+            ));
+        }
         let trajectory = self.trajectory.as_ref().map(ClipGenerator::load);
         let generator = ClipGenerator::load(self.trained)?;
         let generator = match &self.path {

@@ -6,7 +6,7 @@ use kinegrad_train::sampling::GroundRecord;
 
 use super::generate::{ClipRequest, GeneratedClip};
 
-/// The fastest step of training and the frame of that of the paths, as a line of its own.
+/// The frame of the paths' fastest step, and the fastest step of training, as two lines.
 pub(super) fn speeds(grounds: &[GroundRecord]) -> String {
     let steps = grounds.iter().enumerate();
     let steps = steps.filter_map(|(number, ground)| Some((number, ground, ground.fastest_step?)));
@@ -18,8 +18,8 @@ pub(super) fn speeds(grounds: &[GroundRecord]) -> String {
         _ => format!(" of sample {number:03}"),
     };
     let (frame, most) = (step.frame, ground.fastest_of_training);
-    let name = "fastest of training";
-    format!("\n{name:<24} {most:>9.4} m/s (the root's is in frame {frame}{of})")
+    let (place, name) = ("its frame", "fastest of training");
+    format!("\n{place:<24} {frame:>9}{of}\n{name:<24} {most:>9.4} m/s")
 }
 
 /// Distances of the clips from their goals.

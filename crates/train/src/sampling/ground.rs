@@ -85,7 +85,7 @@ impl GroundRecord {
             && clearance.frames_inside > 0
         {
             faults.push(format!(
-                "the root is inside an obstacle, or crosses it, in {}, deepest in frame {} ({:.2} m)",
+                "the root is inside an obstacle, or crosses it, in {}, deepest in frame {} ({:.3} m)",
                 counted(clearance.frames_inside, "frame"),
                 clearance.frame,
                 -clearance.metres,
@@ -129,7 +129,7 @@ mod tests {
         let text = hop.warning("walk").expect("out of bounds");
         for part in [
             "not usable",
-            "in 1 frame, deepest in frame 2 (0.30 m)",
+            "in 1 frame, deepest in frame 2 (0.300 m)",
             "0.90 m from the origin",
         ] {
             assert!(text.contains(part), "{text}");

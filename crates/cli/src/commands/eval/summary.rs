@@ -6,12 +6,12 @@ use kinegrad_train::evaluation::{Column, Evaluated, Number, best_columns};
 /// Placeholder of a missing value.
 const MISSING: &str = "-";
 
-/// The sentences of the verdict: in how many measures each of several runs is best, then each run's
-/// own.
+/// The sentences of the verdict: in how many measures each of several runs alone is best, then each
+/// run's own.
 pub fn verdict(labels: &[String], all: &[Evaluated]) -> Vec<String> {
     let best = best(all);
-    let measures = best.iter().filter(|places| !places.is_empty()).count();
-    let wins = |run: usize| best.iter().filter(|places| places.contains(&run)).count();
+    let measures = best.iter().filter(|places| places.len() == 1).count();
+    let wins = |run: usize| best.iter().filter(|places| places[..] == [run]).count();
     let mut order: Vec<usize> = (0..all.len()).collect();
     order.sort_by_key(|&run| std::cmp::Reverse(wins(run)));
     let each = order
@@ -19,8 +19,11 @@ pub fn verdict(labels: &[String], all: &[Evaluated]) -> Vec<String> {
         .map(|&run| format!("{} in {}", labels[run], wins(run)));
     let each: Vec<String> = each.collect();
     let mut lines = Vec::new();
-    if all.len() > 1 {
-        lines.push(format!("best of {measures} measures: {}", each.join(", ")));
+    match (all.len(), measures) {
+        (1, _) => {}
+        (_, 0) => lines.push("no run is the best in a measure".to_owned()),
+        (_, 1) => lines.push(format!("best in one measure: {}", labels[order[0]])),
+        _ => lines.push(format!("best of {measures} measures: {}", each.join(", "))),
     }
     for (label, each) in labels.iter().zip(all) {
         let said = each.verdict.iter();

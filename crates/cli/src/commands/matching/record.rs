@@ -137,7 +137,7 @@ impl Record {
         }
         if let Some(sliding) = &self.sliding {
             tell!(
-                "feet in contact: {:.2} units a second before, {:.2} after",
+                "locked feet in contact: {:.2} units a second before, {:.2} after",
                 sliding.before,
                 sliding.after
             );

@@ -2,11 +2,21 @@
 
 use kinegrad_data::{BeatAgreement, CHANCE};
 use kinegrad_motion::metrics::Estimate;
+use kinegrad_settings::counted;
 
-/// The verdict on samples with this beat-phase error; `tracked` is the agreement of the real phrases
-/// with the beats tracked in their music.
-pub(crate) fn hearing(error: &Estimate, tracked: Option<&BeatAgreement>) -> String {
+/// Fewest phrases of a verdict: the interval of fewer says little.
+const FEWEST: usize = 3;
+
+/// The verdict on samples of `phrases` phrases with this beat-phase error; `tracked` is the agreement
+/// of the real phrases with the beats tracked in their music.
+pub(crate) fn hearing(error: &Estimate, phrases: usize, tracked: Option<&BeatAgreement>) -> String {
     let Estimate { mean, low, high } = error;
+    if phrases < FEWEST {
+        let phrases = counted(phrases, "phrase");
+        return format!(
+            "beat-phase error {mean:.3} (by chance {CHANCE}): {phrases}, too few for a verdict"
+        );
+    }
     let found = format!("beat-phase error {mean:.3} ({low:.3} to {high:.3}; by chance {CHANCE})");
     if *high < CHANCE {
         return format!("the samples follow the beat: {found}");
@@ -26,7 +36,7 @@ mod tests {
     #[test]
     fn a_model_hears_the_beat_if_its_interval_is_below_chance() {
         let error = |mean, low, high| Estimate { mean, low, high };
-        let said = |error: Estimate| hearing(&error, None);
+        let said = |error: Estimate| hearing(&error, 4, None);
         let heard = said(error(0.11, 0.04, 0.249));
         assert!(heard.starts_with("the samples follow the beat: beat-phase error 0.110"));
         let unheard = said(error(0.246, 0.24, 0.26));
@@ -40,9 +50,11 @@ mod tests {
         };
         let of_data =
             "the phase of the real phrases does not follow the tracked beats: 0.300 beats";
-        let both = hearing(&error(0.246, 0.24, 0.26), data(0.3).as_ref());
+        let both = hearing(&error(0.246, 0.24, 0.26), 4, data(0.3).as_ref());
         assert!(both.contains(of_data), "{both}");
-        let good = hearing(&error(0.246, 0.24, 0.26), data(0.1).as_ref());
+        let good = hearing(&error(0.246, 0.24, 0.26), 4, data(0.1).as_ref());
         assert_eq!(good, unheard);
+        let few = hearing(&error(0.171, 0.171, 0.171), 1, None);
+        assert!(few.ends_with("1 phrase, too few for a verdict"), "{few}");
     }
 }

@@ -38,7 +38,7 @@ impl EvaluationReport {
         let mut verdict = vec![self.processed.strict.verdict(&self.real.strict)];
         if cond == CondSource::Phrases {
             let error = self.processed.beat_phase_error.as_ref();
-            verdict.extend(error.map(|error| hearing(error, self.tracked.as_ref())));
+            verdict.extend(error.map(|error| hearing(error, self.phrases, self.tracked.as_ref())));
         }
         Results {
             json: with_sampling(

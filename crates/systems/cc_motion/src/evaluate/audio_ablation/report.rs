@@ -52,20 +52,20 @@ impl AblationReport {
                 },
                 Vec::new(),
             ),
-            verdict: self.verdict(),
+            verdict: self.verdict(phrases),
             remarks: Vec::new(),
         }
     }
 
     /// Whether the samples follow the beat of their own music.
-    fn verdict(&self) -> Vec<String> {
+    fn verdict(&self, phrases: usize) -> Vec<String> {
         let mut own = self.conditions.iter();
         let own = own.find(|(variant, _)| *variant == AudioVariant::Own);
         let own = own.and_then(|(_, means)| {
             let error = means.iter().find(|mean| mean.name == PHASE_ERRORS[0].0);
             error?.estimate
         });
-        let own = own.map(|own| hearing(&own, self.tracked_beats.as_ref()));
+        let own = own.map(|own| hearing(&own, phrases, self.tracked_beats.as_ref()));
         own.into_iter().collect()
     }
 
