@@ -142,7 +142,7 @@ fn a_page_shows_an_audio_ablation() {
         let has_interval = |row: &&str| row.contains(" to ");
         assert!(rows.iter().any(has_interval), "{rows:?}");
     }
-    holds(&page, &["does not hear the beat"]);
+    holds(&page, &["too few for a verdict"]);
 }
 
 #[test]
