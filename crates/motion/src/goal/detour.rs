@@ -266,7 +266,11 @@ mod tests {
         // The last keyframe is inside.
         assert!(same(vec![disc(0.0, 4.0, 0.5)]));
         // Between overlapping discs all around.
-        let ring = (0..12).map(|i| f64::from(i).mul_add(0.5236, 0.1).sin_cos());
+        let ring = (0..12).map(|i| {
+            f64::from(i)
+                .mul_add(std::f64::consts::FRAC_PI_6, 0.1)
+                .sin_cos()
+        });
         assert!(same(
             ring.map(|(x, z)| disc(1.5 * x, 1.5 * z, 0.5)).collect()
         ));

@@ -9,6 +9,9 @@ use kinegrad_settings::{ABOVE_ZERO, Refused, in_range};
 use super::{Condition, GoalCondition, KnownFramesCondition, PathFile, Style, TrajectoryCondition};
 use crate::error::Error;
 
+/// Most samples per condition.
+const MAX_SAMPLES: usize = 1_000_000_000;
+
 /// A request for samples.
 #[derive(Clone, Debug, Default)]
 pub struct Request {
@@ -46,10 +49,8 @@ impl Request {
     /// # Errors
     /// [`Error::Usage`] for the first contradiction.
     pub fn validate(&self) -> Result<(), Error> {
-        if self.count == 0 {
-            let hint = "request at least one sample";
-            return Err(Error::usage("option `count` is 0", hint));
-        }
+        in_range("option count", self.count, 1..=MAX_SAMPLES)
+            .hint("request more samples in several commands, with other seeds")?;
         let hint = "leave it out for the length of the condition, or of the training";
         if let Some(frames) = self.frames {
             in_range("option frames", frames, 1..=MAX_FRAMES).hint(hint)?;
@@ -288,7 +289,10 @@ mod tests {
             ..KnownBeats::default()
         };
         for (request, expected) in [
-            (Request::default(), "option `count` is 0"),
+            (
+                Request::default(),
+                "`option count` is 0, allowed: 1 to 1000000000",
+            ),
             (
                 Request {
                     frames: Some(0),
