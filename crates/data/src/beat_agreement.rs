@@ -46,7 +46,7 @@ impl BeatAgreement {
     /// The agreement of the phrases' phase channels with the beats tracked in their music.
     pub fn with_tracked(phrases: &[Arc<PhraseItem>], songs: &Songs) -> Option<Self> {
         let distances = phrases.iter();
-        Self::of(distances.filter_map(|phrase| tracked_distance(phrase.clone(), songs)))
+        Self::of(distances.filter_map(|phrase| tracked_error(phrase.clone(), songs)))
     }
 
     /// True if the beats of at least four phrases may agree no better than by chance: the interval
@@ -57,7 +57,7 @@ impl BeatAgreement {
 }
 
 /// Song and [`tracked_error`](BeatPhrase::tracked_error) of a phrase with beats.
-pub(crate) fn tracked_distance(phrase: Arc<PhraseItem>, songs: &Songs) -> Option<(String, f64)> {
+pub fn tracked_error(phrase: Arc<PhraseItem>, songs: &Songs) -> Option<(String, f64)> {
     let phrase = BeatPhrase::new(phrase, songs, None)?;
     let distance = phrase.tracked_error()?;
     Some((phrase.song, distance))

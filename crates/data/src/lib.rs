@@ -69,7 +69,7 @@ pub use kinegrad_ranks::Alone;
 pub use atomic::{is_unfinished, write as write_whole};
 pub use audio_layout::{AUDIO_CHANNELS, AudioGroup, AudioLayout, check_groups};
 pub use batch::{AUDIO, Batch, CAPTIONS, Condition, ConditionRows, SampleShape, TEXT, WORDS};
-pub use beat_agreement::{BeatAgreement, CHANCE};
+pub use beat_agreement::{BeatAgreement, CHANCE, tracked_error};
 pub use beat_phrase::{BeatPhrase, bars};
 pub use config::{
     AugmentConfig, CacheConfig, Crop, DataConfig, DataKind, MIN_FRAMES, OnBadPhrase, StatisticsOf,

@@ -9,7 +9,7 @@ use kinegrad_settings::InvalidSetting;
 use kinegrad_settings::counted;
 
 use crate::audio_layout::AudioLayout;
-use crate::beat_agreement::tracked_distance;
+use crate::beat_agreement::tracked_error;
 use crate::files::Files;
 use crate::item::Item;
 use crate::item_set::ItemSet;
@@ -62,7 +62,7 @@ impl Item for PhraseItem {
     }
 
     fn tracked_beats(&self, songs: &Songs) -> Option<(String, f64)> {
-        tracked_distance(Arc::new(self.clone()), songs)
+        tracked_error(Arc::new(self.clone()), songs)
     }
 }
 

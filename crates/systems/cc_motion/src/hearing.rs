@@ -5,7 +5,9 @@ use std::rc::Rc;
 use std::sync::Arc;
 
 use burn::tensor::Device;
-use kinegrad_data::{BeatAgreement, BeatPhrase, DataConfig, Dataset, PhraseItem, PhraseSet, Songs};
+use kinegrad_data::{
+    BeatAgreement, BeatPhrase, DataConfig, Dataset, PhraseItem, PhraseSet, Songs, tracked_error,
+};
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_train::checkpoint::State;
 use kinegrad_train::evaluation::for_each_item;
@@ -18,19 +20,29 @@ use super::lengths::leading;
 use crate::network::{MotionDecoder, UNet1d};
 
 /// Most training phrases whose beats are tracked.
-const MOST_TRACKED: usize = 256;
+const MOST_TRACKED: usize = 24;
 
 /// Most held-out phrases that are sampled.
 const MOST_SAMPLED: usize = 16;
 
-/// Warns if the phase of the training phrases does not follow the beats tracked in their music.
+/// Warns if the phase of the training phrases does not follow the beats tracked in their music. Each
+/// process reads a part of them. Collective.
 pub(super) fn warn_of_data(
     dataset: &Dataset<PhraseItem>,
     data: &DataConfig,
+    group: &ProcessGroup,
     observer: &mut dyn Observer,
 ) -> Result<(), Error> {
-    let phrases = dataset.train.evenly(MOST_TRACKED)?;
-    let agreement = BeatAgreement::with_tracked(&phrases, &Songs::read(data)?);
+    let songs = group.done(Songs::read(data).map_err(Error::from))?;
+    let all = dataset.train.len();
+    let count = all.min(MOST_TRACKED);
+    let no_progress = &mut |_, _, _| ControlFlow::Continue(());
+    let errors = for_each_item(group, count, no_progress, |index, _| {
+        let phrase = dataset.train.get(index * all / count)?;
+        Ok(tracked_error(phrase, &songs))
+    })?;
+    let agreement = BeatAgreement::of(errors.into_iter().flatten());
+    let agreement = agreement.filter(|_| group.writes());
     if let Some(beats) = agreement.filter(BeatAgreement::is_at_chance) {
         observer.warning(&format!(
             "the phase of the training phrases does not follow the beats tracked in their music: \

@@ -32,11 +32,7 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
     let dataset = Dataset::<PhraseItem>::open_among(data, &*observer.reading(), &*context.group)?;
     context.check_dataset(&dataset, observer)?;
     if context.checkpoint.is_none() {
-        let warned = match group.writes() {
-            true => hearing::warn_of_data(&dataset, &context.config.data, observer),
-            false => Ok(()),
-        };
-        group.done(warned)?;
+        hearing::warn_of_data(&dataset, &context.config.data, &group, observer)?;
     }
     let config = style::with_labels(context.config.clone(), &dataset, observer)?;
     context.config = config.clone();
