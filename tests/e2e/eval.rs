@@ -273,7 +273,7 @@ fn the_verdict_comes_first_and_the_main_measures_have_directions() {
     assert!(lines.len() <= 14, "{}", finished.stdout);
     for (line, start) in lines.iter().zip([
         "smallest: ",
-        "smallest: the model does not hear the beat: beat-phase error ",
+        "smallest: the samples do not follow the beat: beat-phase error ",
         "smallest: furthest from real motion: ",
     ]) {
         assert!(line.starts_with(start), "{}", finished.stdout);
@@ -301,9 +301,9 @@ fn the_verdict_comes_first_and_the_main_measures_have_directions() {
         format!("smallest: {}", verdict[0].as_str().expect("text")),
         lines[0]
     );
-    // A condition of noise is not heard on purpose.
+    // Noise has no beat to follow.
     let noise = sandbox.run("eval runs/smallest --steps 2 --set evaluation.cond=noise");
-    assert!(!noise.succeeded().stdout.contains("hear"));
+    assert!(!noise.succeeded().stdout.contains("follow the beat"));
 }
 
 #[test]
@@ -330,7 +330,7 @@ fn training_warns_of_a_model_that_does_not_hear_the_beat() {
     let finished = sandbox.run(&format!(
         "train c.toml --set train.max_steps=6 --quiet {settings}"
     ));
-    let warning = "warning: the model does not hear the beat: beat-phase error ";
+    let warning = "warning: the samples do not follow the beat: beat-phase error ";
     let said = finished.succeeded().stderr;
     assert!(said.contains(warning), "{said}");
     let again = sandbox.run("train --resume runs/smallest --quiet");

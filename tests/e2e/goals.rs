@@ -91,7 +91,7 @@ fn a_sampled_body_is_measured_beside_the_training_clips() {
     let said = sandbox
         .run("sample runs/gmd_motion --frames 16 --out free")
         .succeeded();
-    // A network after a few steps moves as nobody does.
+    // An undertrained network leaves the bounds of the training motion.
     for part in [
         "1 sample: mean speed ",
         " (training ",

@@ -12,9 +12,6 @@ use crate::{BeatPhrase, PhraseItem, Songs};
 /// Distance between unrelated beats, in beats.
 pub const CHANCE: f64 = 0.25;
 
-/// Fewest phrases with a meaningful interval.
-const FEWEST: usize = 4;
-
 /// Distance between two sets of beats over phrases, in beats: 0 to 0.5, by chance 0.25.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct BeatAgreement {
@@ -28,6 +25,9 @@ pub struct BeatAgreement {
 }
 
 impl BeatAgreement {
+    /// Fewest phrases of a verdict: the interval of fewer says little.
+    pub const FEWEST_PHRASES: usize = 4;
+
     /// The agreement of phrases, each with its song and the distance of its beats; `None` without
     /// phrases, or if a distance is not finite.
     pub fn of(distances: impl IntoIterator<Item = (String, f64)>) -> Option<Self> {
@@ -49,10 +49,10 @@ impl BeatAgreement {
         Self::of(distances.filter_map(|phrase| tracked_error(phrase.clone(), songs)))
     }
 
-    /// True if the beats of at least four phrases may agree no better than by chance: the interval
-    /// reaches 0.25.
+    /// True if the beats may agree no better than by chance: the interval of enough phrases reaches
+    /// 0.25.
     pub fn is_at_chance(&self) -> bool {
-        self.phrases >= FEWEST && self.error.high >= CHANCE
+        self.phrases >= Self::FEWEST_PHRASES && self.error.high >= CHANCE
     }
 }
 

@@ -5,8 +5,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use kinegrad_motion::Phrases;
-use kinegrad_settings::InvalidSetting;
-use kinegrad_settings::counted;
+use kinegrad_settings::{InvalidSetting, counted};
 
 use crate::audio_layout::AudioLayout;
 use crate::beat_agreement::tracked_error;

@@ -54,7 +54,7 @@ impl C3d {
     /// some programs write missing points so.
     ///
     /// # Panics
-    /// Panics if there is no such point.
+    /// Panics if `point` is not below the number of points per frame.
     pub fn track(&self, point: usize) -> Vec<Option<[f64; 3]>> {
         let track = (0..self.frames()).map(|t| self.point(t, point));
         let mut track: Vec<_> = track.collect();

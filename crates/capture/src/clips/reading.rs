@@ -4,7 +4,6 @@ use kinegrad_motion::humanml::{Joints, Skeleton};
 
 use super::body::Body;
 use super::clip::Grounded;
-use super::map::JointMap;
 use crate::{Bvh, Error};
 
 const HINT: &str = "`kinegrad data prepare` reads captures of other bodies, with a joint map and units of \
@@ -22,10 +21,7 @@ pub fn read_body(bvh: &Bvh, file: &str, retarget: bool) -> Result<(Joints, Vec<S
         hint: HINT.to_owned(),
     };
     let skeleton = Skeleton::humanml3d();
-    let places = JointMap::fitting(bvh).and_then(|map| map.joints_of(bvh));
-    let rate = 1.0 / bvh.frame_time();
-    let body = places.and_then(|places| Body::of_places(places, &skeleton, rate, None, None));
-    let body = body.map_err(refused)?;
+    let body = Body::of_bvh(bvh, None, None).map_err(refused)?;
     let joints = body.at_rate(skeleton.description().fps);
     let grounded = Grounded::new(&skeleton, &joints, retarget)?;
     Ok((grounded.joints, body.notes))

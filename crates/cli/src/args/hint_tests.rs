@@ -70,7 +70,7 @@ fn commands_and_options_in_messages_exist() {
                 // A placeholder.
                 Some(option) if option.is_empty() => continue,
                 Some(option) => {
-                    (!known.contains(&option)).then(|| format!("there is no option --{option}"))
+                    (!known.contains(&option)).then(|| format!("option --{option} does not exist"))
                 }
                 None if code.starts_with("kinegrad ") => fault(&code, false),
                 None => continue,

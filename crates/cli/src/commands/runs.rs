@@ -28,7 +28,7 @@ const HEADER: [&str; 7] = [
 /// Lists the runs in a folder.
 pub fn run(systems: Systems<'_>, arguments: RunsArguments) -> Result<ExitCode, Error> {
     let RunsArguments { folder, json } = arguments;
-    // Before the first training there is no folder `runs`.
+    // The first training makes the folder `runs`.
     if !folder.is_dir() && folder != Path::new(RUNS) {
         let message = format!("there is no folder {}", folder.display());
         let hint = "give the folder that contains the runs; without one, `kinegrad runs` lists those in `runs`";

@@ -137,8 +137,7 @@ impl Figure {
             if length < limits.least_length * self.height {
                 continue;
             }
-            // A lone joint far from a root without other children is the body; the root is a place on
-            // the floor.
+            // Some captures have a root on the floor below the hips.
             let children = object
                 .parents
                 .iter()
@@ -276,14 +275,14 @@ mod tests {
                 .all(|bone| (bone.radius - thick).abs() < 1e-9)
         );
         assert!(!figure.goes_far());
-        // A distance that varies is no bone.
+        // Joints at a varying distance have no bone between them.
         let mut apart = body(40);
         for (frame, row) in apart.positions.chunks_exact_mut(12).enumerate() {
             row[3] += 0.1 * frame as f32;
         }
         let figure = Figure::of(&apart);
         assert_eq!((figure.bones.len(), figure.root), (2, 1));
-        // Nor is the way from a place on the floor to the body.
+        // Neither have a root on the floor and the body above it.
         let mut held = body(40);
         held.parents = vec![None, Some(0), Some(1), Some(1)];
         for row in held.positions.chunks_exact_mut(12) {

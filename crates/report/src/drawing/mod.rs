@@ -1,7 +1,7 @@
 //! How scenes are drawn, on pages and in pictures: sizes, colors, figures and the camera.
 //!
-//! `table.json` is part of the viewer's script too, so that a page and a picture are drawn from the
-//! same numbers. Sizes of figures are parts of their height; widths of lines are pixels.
+//! The viewer's script contains `table.json`: pages and pictures are drawn from the same numbers.
+//! Sizes of figures are parts of their height; widths of lines are pixels.
 
 mod camera;
 mod figure;

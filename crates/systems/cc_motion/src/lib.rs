@@ -3,11 +3,11 @@
 //! Recipe `diffusion` trains the denoiser, `decoder` a decoder on the denoiser's latents, `e2e`
 //! both end to end.
 
+mod beat_warnings;
 mod config;
 pub mod evaluate;
 pub mod generate;
 mod generator;
-mod hearing;
 mod leaks;
 mod lengths;
 mod load;

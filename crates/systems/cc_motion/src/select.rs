@@ -13,9 +13,9 @@ use kinegrad_train::config::SelectBy;
 use kinegrad_train::{Error, Loss, Measured, ProcessGroup, Recipe, Score, StepKey};
 
 use super::CondSource;
+use super::beat_warnings::HeldOutBeats;
 use super::evaluate::{EvaluationReport, HeldOut, SampleSettings, evaluate};
 use super::generate::Generator;
-use super::hearing::Hearing;
 use super::lengths::leading;
 use crate::network::{MotionDecoder, UNet1d};
 
@@ -129,7 +129,7 @@ pub(super) struct Selecting<R: Recipe> {
     /// The criterion of the best step, if not the loss.
     pub selection: Option<Selection>,
     /// The held-out phrases whose beats samples should follow.
-    pub hearing: Hearing,
+    pub beats: HeldOutBeats,
     /// The networks that generate the samples.
     pub networks: NetworksOf<R::Model>,
 }
@@ -174,6 +174,6 @@ impl<R: Recipe> Recipe for Selecting<R> {
     }
 
     fn warning(&self, model: &Self::Model, device: &Device) -> Result<Option<String>, Error> {
-        self.hearing.warning((self.networks)(model), device)
+        self.beats.warning((self.networks)(model), device)
     }
 }

@@ -14,7 +14,7 @@ use kinegrad_train::config::Config;
 use kinegrad_train::run::{Outcome, RunContext, TrainingData};
 use kinegrad_train::{Error, Observer};
 
-use super::hearing::{self, Hearing};
+use super::beat_warnings::{self, HeldOutBeats};
 use super::load::{denoiser, networks, targets};
 use super::recipe_name::RecipeName;
 use super::recipes::{DecoderRecipe, E2eRecipe, Rollouts, diffusion_recipe};
@@ -32,7 +32,7 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
     let dataset = Dataset::<PhraseItem>::open_among(data, &*observer.reading(), &*context.group)?;
     context.check_dataset(&dataset, observer)?;
     if context.checkpoint.is_none() {
-        hearing::warn_of_data(&dataset, &context.config.data, &group, observer)?;
+        beat_warnings::warn_of_data(&dataset, &context.config.data, &group, observer)?;
     }
     let config = style::with_labels(context.config.clone(), &dataset, observer)?;
     context.config = config.clone();
@@ -120,7 +120,7 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
         network_statistics: network_statistics.clone(),
         ..State::untrained(config.clone(), statistics.clone())
     };
-    let hearing = Hearing::new(&dataset.validation, &diffusion, state.clone(), &group)?;
+    let beats = HeldOutBeats::new(&dataset.validation, &diffusion, state.clone(), &group)?;
     let selection = Selection::new(&dataset.validation, &diffusion, state, &group)?;
     let (training_data, held_out) = context.training_data(dataset, statistics.clone(), samples)?;
     let training_data = TrainingData {
@@ -143,7 +143,7 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
             let selecting = Selecting {
                 recipe: diffusion_recipe(diffusion, held_out),
                 selection,
-                hearing,
+                beats,
                 networks: |unet| (unet.clone(), None),
             };
             context.train(training_data, selecting, model, observer)
@@ -153,7 +153,7 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
             let selecting = Selecting {
                 recipe: DecoderRecipe::new(rollouts, &own.loss, held_out),
                 selection,
-                hearing,
+                beats,
                 networks: of_both,
             };
             context.train(training_data, selecting, model, observer)
@@ -163,7 +163,7 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
             let selecting = Selecting {
                 recipe: E2eRecipe::new(rollouts, &own.loss, held_out),
                 selection,
-                hearing,
+                beats,
                 networks: of_both,
             };
             context.train(training_data, selecting, model, observer)

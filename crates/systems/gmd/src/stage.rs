@@ -77,23 +77,22 @@ impl<'a> StageSteering<'a> {
         model: StageModel<'a>,
     ) -> Result<Self, Error> {
         let loss = GuidanceLoss::new(&config.guidance, goals, model.frames)?;
-        let detours = |goal: &Goal| config.detours && !goal.obstacles.is_empty();
-        let dense = |goal: &Goal| match detours(goal) {
-            true => goal.around_obstacles(),
-            false => goal.dense(),
-        };
-        // Without the detours, the model would take the straight line again.
-        let points = |goal: &Goal| match detours(goal) {
-            true => goal.around_obstacles(),
-            false => goal.points(),
+        // Beyond the dense phase too: the model would take the straight line again.
+        let known = |otherwise: fn(&Goal) -> GroundTargets| {
+            model.known(goals.iter().map(|goal| {
+                match config.detours && !goal.obstacles.is_empty() {
+                    true => goal.around_obstacles(),
+                    false => otherwise(goal),
+                }
+            }))
         };
         Ok(Self {
             config,
             scale: config.scale,
             of_motion: model.of_motion,
             of_points: goals.iter().any(|goal| goal.trajectory.is_none()),
-            dense: model.known(goals.iter().map(dense)),
-            points: model.known(goals.iter().map(points)),
+            dense: known(Goal::dense),
+            points: known(Goal::points),
             objective: GroundObjective {
                 space: model.space,
                 loss,
@@ -182,21 +181,25 @@ impl StageModel<'_> {
 
 #[cfg(test)]
 mod tests {
-    use kinegrad_motion::goal::{Keyframe, Trajectory};
+    use kinegrad_motion::goal::{Keyframe, Obstacle, Trajectory};
 
     use super::*;
+
+    fn stage<'a>(space: &'a FeatureSpace, device: &'a Device, of_motion: bool) -> StageModel<'a> {
+        StageModel {
+            space,
+            channels: 4,
+            of_motion,
+            frames: 8,
+            device,
+        }
+    }
 
     #[test]
     fn detours_are_imputed_among_obstacles() {
         let device = Device::flex();
         let space = FeatureSpace::new(&[0.0; 4], &[1.0; 4], None, &device);
-        let model = StageModel {
-            space: &space,
-            channels: 4,
-            of_motion: false,
-            frames: 8,
-            device: &device,
-        };
+        let model = stage(&space, &device, false);
         let mut goal = Goal::new(8);
         goal.keyframes = vec![Keyframe {
             frame: 5,
@@ -216,7 +219,7 @@ mod tests {
             })
         };
         assert_eq!(known(&goal, true), [6.0, 1.0]);
-        goal.obstacles = vec![kinegrad_motion::goal::Obstacle::Disc {
+        goal.obstacles = vec![Obstacle::Disc {
             x: 0.5,
             z: 1.0,
             radius: 0.2,
@@ -229,13 +232,7 @@ mod tests {
     fn single_frames_are_not_put_in_their_places_to_the_end() {
         let device = Device::flex();
         let space = FeatureSpace::new(&[0.0; 4], &[1.0; 4], None, &device);
-        let model = StageModel {
-            space: &space,
-            channels: 4,
-            of_motion: true,
-            frames: 8,
-            device: &device,
-        };
+        let model = stage(&space, &device, true);
         let mut config = SteeringConfig::default();
         config.schedule.motion_until = Some(0);
         let points = Goal {

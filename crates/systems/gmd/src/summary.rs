@@ -18,7 +18,7 @@ pub(super) fn speeds(grounds: &[GroundRecord]) -> String {
         _ => format!(" of sample {number:03}"),
     };
     let (frame, most) = (step.frame, ground.fastest_of_training);
-    let (place, name) = ("its frame", "fastest of training");
+    let (place, name) = ("frame of fastest step", "fastest of training");
     format!("\n{place:<24} {frame:>9}{of}\n{name:<24} {most:>9.4} m/s")
 }
 

@@ -14,8 +14,7 @@ use kinegrad_data::humanml::{
 };
 use kinegrad_data::{DataConfig, Dataset};
 use kinegrad_motion::humanml::TEXT_CHANNELS;
-use kinegrad_settings::counted;
-use kinegrad_settings::{InvalidSetting, Refused, in_range, nearest, require};
+use kinegrad_settings::{InvalidSetting, Refused, counted, in_range, nearest, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 

@@ -1,7 +1,7 @@
 //! Metrics of a trained model's samples and of real phrases.
 
 mod audio_ablation;
-pub(crate) mod hearing;
+pub(crate) mod beat_verdict;
 mod measures;
 mod movement;
 mod report;

@@ -6,7 +6,7 @@ use kinegrad_train::config::SamplingConfig;
 use kinegrad_train::evaluation::{Better, Group, Metrics, Number, Results, with_sampling};
 use serde_json::json;
 
-use super::hearing::hearing;
+use super::beat_verdict::beat_verdict;
 use super::{EvaluationReport, Measures, ProfileRates, SampleSettings};
 use crate::CondSource;
 
@@ -38,7 +38,9 @@ impl EvaluationReport {
         let mut verdict = vec![self.processed.strict.verdict(&self.real.strict)];
         if cond == CondSource::Phrases {
             let error = self.processed.beat_phase_error.as_ref();
-            verdict.extend(error.map(|error| hearing(error, self.phrases, self.tracked.as_ref())));
+            verdict.extend(
+                error.map(|error| beat_verdict(error, self.phrases, self.tracked.as_ref())),
+            );
         }
         Results {
             json: with_sampling(

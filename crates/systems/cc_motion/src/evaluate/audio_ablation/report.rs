@@ -9,7 +9,7 @@ use super::means::{Mean, PHASE_ERRORS, to_json};
 use super::scores::MeasuredPhrase;
 use super::{Ablation, loss};
 use crate::evaluate::Measures;
-use crate::evaluate::hearing::hearing;
+use crate::evaluate::beat_verdict::beat_verdict;
 
 /// The numbers of an ablation.
 pub(super) struct AblationReport {
@@ -65,7 +65,7 @@ impl AblationReport {
             let error = means.iter().find(|mean| mean.name == PHASE_ERRORS[0].0);
             error?.estimate
         });
-        let own = own.map(|own| hearing(&own, phrases, self.tracked_beats.as_ref()));
+        let own = own.map(|own| beat_verdict(&own, phrases, self.tracked_beats.as_ref()));
         own.into_iter().collect()
     }
 

@@ -4,14 +4,15 @@ use kinegrad_data::{BeatAgreement, CHANCE};
 use kinegrad_motion::metrics::Estimate;
 use kinegrad_settings::counted;
 
-/// Fewest phrases of a verdict: the interval of fewer says little.
-const FEWEST: usize = 3;
-
 /// The verdict on samples of `phrases` phrases with this beat-phase error; `tracked` is the agreement
 /// of the real phrases with the beats tracked in their music.
-pub(crate) fn hearing(error: &Estimate, phrases: usize, tracked: Option<&BeatAgreement>) -> String {
+pub(crate) fn beat_verdict(
+    error: &Estimate,
+    phrases: usize,
+    tracked: Option<&BeatAgreement>,
+) -> String {
     let Estimate { mean, low, high } = error;
-    if phrases < FEWEST {
+    if phrases < BeatAgreement::FEWEST_PHRASES {
         let phrases = counted(phrases, "phrase");
         return format!(
             "beat-phase error {mean:.3} (by chance {CHANCE}): {phrases}, too few for a verdict"
@@ -26,7 +27,7 @@ pub(crate) fn hearing(error: &Estimate, phrases: usize, tracked: Option<&BeatAgr
         format!("; the phase of the real phrases does not follow the tracked beats: {tracked}")
     });
     let of_data = of_data.unwrap_or_default();
-    format!("the model does not hear the beat: {found}{of_data}")
+    format!("the samples do not follow the beat: {found}{of_data}")
 }
 
 #[cfg(test)]
@@ -34,15 +35,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_model_hears_the_beat_if_its_interval_is_below_chance() {
+    fn samples_follow_the_beat_if_their_interval_is_below_chance() {
         let error = |mean, low, high| Estimate { mean, low, high };
-        let said = |error: Estimate| hearing(&error, 4, None);
-        let heard = said(error(0.11, 0.04, 0.249));
-        assert!(heard.starts_with("the samples follow the beat: beat-phase error 0.110"));
-        let unheard = said(error(0.246, 0.24, 0.26));
+        let said = |error: Estimate| beat_verdict(&error, 4, None);
+        let follows = said(error(0.11, 0.04, 0.249));
+        assert!(follows.starts_with("the samples follow the beat: beat-phase error 0.110"));
+        let unrelated = said(error(0.246, 0.24, 0.26));
         assert!(
-            unheard.starts_with("the model does not hear the beat"),
-            "{unheard}"
+            unrelated.starts_with("the samples do not follow the beat"),
+            "{unrelated}"
         );
         let data = |distance: f64| {
             let songs = ["a", "a", "b", "b"].map(|song| (song.to_owned(), distance));
@@ -50,11 +51,11 @@ mod tests {
         };
         let of_data =
             "the phase of the real phrases does not follow the tracked beats: 0.300 beats";
-        let both = hearing(&error(0.246, 0.24, 0.26), 4, data(0.3).as_ref());
+        let both = beat_verdict(&error(0.246, 0.24, 0.26), 4, data(0.3).as_ref());
         assert!(both.contains(of_data), "{both}");
-        let good = hearing(&error(0.246, 0.24, 0.26), 4, data(0.1).as_ref());
-        assert_eq!(good, unheard);
-        let few = hearing(&error(0.171, 0.171, 0.171), 1, None);
+        let good = beat_verdict(&error(0.246, 0.24, 0.26), 4, data(0.1).as_ref());
+        assert_eq!(good, unrelated);
+        let few = beat_verdict(&error(0.171, 0.171, 0.171), 1, None);
         assert!(few.ends_with("1 phrase, too few for a verdict"), "{few}");
     }
 }

@@ -14,7 +14,7 @@ use kinegrad_train::evaluation::for_each_item;
 use kinegrad_train::sampling::item_seed;
 use kinegrad_train::{Error, Observer, ProcessGroup};
 
-use super::evaluate::hearing::hearing;
+use super::evaluate::beat_verdict::beat_verdict;
 use super::generate::{Generator, keys};
 use super::lengths::leading;
 use crate::network::{MotionDecoder, UNet1d};
@@ -53,7 +53,7 @@ pub(super) fn warn_of_data(
 }
 
 /// The held-out phrases whose beats samples should follow.
-pub(super) struct Hearing {
+pub(super) struct HeldOutBeats {
     phrases: Vec<BeatPhrase>,
     diffusion: GaussianDiffusion,
     /// The state of a checkpoint.
@@ -62,7 +62,7 @@ pub(super) struct Hearing {
     group: Rc<ProcessGroup>,
 }
 
-impl Hearing {
+impl HeldOutBeats {
     /// Some phrases of `held_out` with beats, cut to the training length.
     pub fn new(
         held_out: &PhraseSet,
@@ -85,7 +85,7 @@ impl Hearing {
     }
 
     /// The verdict on networks on the plain `device`, if their samples do not follow the beats: from
-    /// one sample per phrase, with at least four phrases. Collective.
+    /// one sample per phrase, of enough phrases for a verdict. Collective.
     pub fn warning(
         &self,
         (unet, decoder): (UNet1d, Option<MotionDecoder>),
@@ -112,11 +112,11 @@ impl Hearing {
         })?;
         let songs = self.phrases.iter().map(|phrase| phrase.song.clone());
         let agreement = BeatAgreement::of(songs.zip(errors));
-        let unheard = agreement.filter(BeatAgreement::is_at_chance);
-        Ok(unheard.map(|agreement| {
+        let unrelated = agreement.filter(BeatAgreement::is_at_chance);
+        Ok(unrelated.map(|agreement| {
             format!(
                 "{}; beat features (`data.audio_features`), more steps or more songs help",
-                hearing(&agreement.error, self.phrases.len(), None)
+                beat_verdict(&agreement.error, self.phrases.len(), None)
             )
         }))
     }
