@@ -67,11 +67,12 @@ fn moved(by: impl Fn(usize) -> [f64; 3]) -> Vec<[[f64; 3]; 22]> {
     })
 }
 
-/// Turns a frame by 180 degrees about its root's vertical axis.
-fn flip(frame: &mut [[f64; 3]; 22]) {
-    let [x, _, z] = frame[0];
+/// Turns a frame about its root's vertical axis by an angle in radians.
+fn turn(frame: &mut [[f64; 3]; 22], angle: f64) {
+    let ([x, _, z], (sin, cos)) = (frame[0], angle.sin_cos());
     for place in frame {
-        (place[0], place[2]) = (2.0 * x - place[0], 2.0 * z - place[2]);
+        let (ahead, aside) = (place[2] - z, place[0] - x);
+        (place[0], place[2]) = (x + cos * aside + sin * ahead, z + cos * ahead - sin * aside);
     }
 }
 
@@ -93,6 +94,28 @@ fn broken_bodies() -> Vec<(&'static str, Vec<[[f64; 3]; 22]>)> {
             "fastest_joint",
             moved(|t| [0.0, 0.0, if t == 40 { 3.0 } else { 0.0 }]),
         ),
+        (
+            "root_acceleration.teleport_of_30_cm",
+            moved(|t| [if t < 40 { 0.0 } else { 0.3 }, 0.0, 0.0]),
+        ),
+        (
+            "turn_acceleration.60_degrees_in_a_frame",
+            changed(|t, frame| {
+                if t >= 40 {
+                    turn(frame, PI / 3.0);
+                }
+            }),
+        ),
+        (
+            "flight.half_the_time",
+            moved(|t| {
+                [
+                    0.0,
+                    (0.05 * t as f64).clamp(0.0, 2.0) * f64::from(u8::from(t < 38)),
+                    0.0,
+                ]
+            }),
+        ),
         ("still_share", changed(|_, frame| *frame = statue)),
         (
             "glide",
@@ -104,7 +127,7 @@ fn broken_bodies() -> Vec<(&'static str, Vec<[[f64; 3]; 22]>)> {
             "largest_turn",
             changed(|t, frame| {
                 if t == 40 {
-                    flip(frame);
+                    turn(frame, PI);
                 }
             }),
         ),
@@ -146,12 +169,29 @@ fn broken_bodies_fail_by_name() {
         .expect("features")
         .into_vec();
     let reversed: Vec<f32> = features.rchunks_exact(263).flatten().copied().collect();
-    let reversed_name = "velocity_coherence.in_reverse";
-    for (name, rows) in [("good.walk", &features), (reversed_name, &reversed)] {
+    let changed = |channels: std::ops::Range<usize>, change: fn(f32) -> f32| {
+        let mut rows = features.clone();
+        for row in rows.chunks_exact_mut(263) {
+            row[channels.clone()]
+                .iter_mut()
+                .for_each(|value| *value = change(*value));
+        }
+        rows
+    };
+    let layout = skeleton.layout();
+    let no_rotations = changed(layout.rotations(), |_| 0.0);
+    let inverted = changed(layout.contacts(), |contact| 1.0 - contact);
+    let of_features = [
+        ("good.walk", &features),
+        ("velocity_coherence.in_reverse", &reversed),
+        ("rotation_columns.zeros", &no_rotations),
+        ("contacts.inverted", &inverted),
+    ];
+    for (name, rows) in of_features {
         let path = sandbox.path(format!("broken/{name}.npy"));
         write_values(&path, &[rows.len() / 263, 263], rows).expect("npy");
     }
-    must_fail_by_name(&sandbox, "", all.len() + 2);
+    must_fail_by_name(&sandbox, "", all.len() + of_features.len());
 }
 
 #[test]

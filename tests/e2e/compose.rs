@@ -189,7 +189,7 @@ fn a_trained_network_is_taught_to_follow_paths() {
         sandbox.write(&format!("{name}.toml"), format!("points = {points}\n"));
     }
     let features = |line: String, name: &str| {
-        let line = format!("sample {line} --frames 50 --seed 5 --out {name}");
+        let line = format!("sample {line} --frames 50 --seed 5 --out {name} --allow-unusable");
         sandbox.run(&line).succeeded();
         let path = sandbox.path(format!("{name}.features.npy"));
         read_array(&path).expect("features").values

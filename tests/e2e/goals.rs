@@ -132,7 +132,7 @@ fn a_root_out_of_bounds_is_sampled_again_and_reported_with_its_frame() {
     let obstacle = "[[obstacle]]\nkind = \"disc\"\nx = 0.1\nz = 0.4\nradius = 3.0\n";
     sandbox.write("around.toml", format!("{GOAL}{obstacle}"));
     let sample = "sample runs/gmd_trajectory --goal around.toml --count 2 --out path --overwrite \
-                  --set steering.detours=false";
+                  --allow-unusable --set steering.detours=false";
     let said = sandbox
         .run(&format!("{sample} --set steering.attempts=1"))
         .succeeded();
@@ -179,7 +179,7 @@ fn a_root_out_of_bounds_is_sampled_again_and_reported_with_its_frame() {
     let again = record("path-000.json");
     assert!(again["rejected"].as_u64() <= Some(2), "{again}");
     // Without a goal too.
-    let free = "sample runs/gmd_trajectory --out free";
+    let free = "sample runs/gmd_trajectory --out free --allow-unusable";
     sandbox.run(free).succeeded();
     assert!(record("free.json")["fastest_step"]["speed"].is_number());
 }

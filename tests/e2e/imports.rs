@@ -96,7 +96,7 @@ fn published_weights_of_the_transformer_become_a_run() {
     );
     assert!(!said.stderr.contains("--projection"), "{}", said.stderr);
     sandbox
-        .run("sample runs/mdm --frames 24 --steps 3 --out walk")
+        .run("sample runs/mdm --frames 24 --steps 3 --out walk --allow-unusable")
         .succeeded();
     assert_eq!(shape(&sandbox.path("walk.npy")), [24, 22, 3]);
     // The root is relative, so positions cannot be given.
@@ -232,7 +232,7 @@ fn published_compositions_become_a_run_that_composes() {
     let said = sandbox.run(&format!("import {command}")).succeeded();
     assert!(said.stdout.contains("parameters"), "{}", said.stdout);
     sandbox
-        .run("sample runs/flowmdm --frames 30 --steps 3 --out composed")
+        .run("sample runs/flowmdm --frames 30 --steps 3 --out composed --allow-unusable")
         .succeeded();
     assert_eq!(shape(&sandbox.path("composed.npy")), [30, 22, 3]);
     let record = fs::read_to_string(sandbox.path("composed.json")).expect("a record");

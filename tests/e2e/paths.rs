@@ -205,8 +205,12 @@ fn clips_of_goals_follow_a_path_from_a_file() {
     );
     sandbox.write("far.toml", "points = [[0, 0], [0, 400]]\n");
     let far = sandbox.run("sample runs/gmd_motion --path far.toml --frames 20 --out far");
-    let said = far.succeeded().stderr;
+    let said = far.failed(1, &["1 sample is not usable"]).stderr;
     assert!(said.contains("more than any motion of training"), "{said}");
+    assert!(sandbox.path("far.unusable.npy").exists() && !sandbox.path("far.npy").exists());
+    sandbox
+        .run("sample runs/gmd_motion --path far.toml --frames 20 --out far")
+        .failed(2, &["exist already"]);
     for (line, expected) in [
         (
             "sample runs/gmd_trajectory --path quarter.toml --out x",

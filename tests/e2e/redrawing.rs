@@ -99,7 +99,8 @@ fn redraw(sandbox: &Sandbox, folder: &str) -> Vec<Value> {
         let record: Value = serde_json::from_slice(text).expect("JSON");
         let (mut arguments, suffix) = described(&record);
         let out = format!("again/{folder}/{stem}");
-        arguments.extend(["--out".into(), out.clone(), "-q".into()]);
+        let others = ["--out", &out, "-q", "--allow-unusable"];
+        arguments.extend(others.map(String::from));
         kinegrad_tests::sandbox::finish(sandbox.command(&arguments)).succeeded();
         let own: Vec<_> = files
             .iter()

@@ -472,7 +472,9 @@ fn runs_are_plotted_and_reported_together() {
     let named = |name: &str| both.matches(&format!("\n{name}\n")).count();
     // Each chart names both runs.
     assert!(named("one") >= 3 && named("one") == named("two"));
-    holds(&both, &["loss_", "gradient norm"]);
+    holds(&both, &["validation loss", "gradient norm"]);
+    // The loss has a single term, which equals it.
+    assert!(!both.contains("loss_"));
     let page = page(&sandbox, "runs/one runs/two", "runs/comparison.html");
     holds(
         &page,

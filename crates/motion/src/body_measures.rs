@@ -42,7 +42,8 @@ pub enum BodyMeasure {
     /// Median over the frames of the lowest joint's height, metres: a body that hangs over the floor
     /// has a large value.
     Floating,
-    /// Longest time in which every joint is more than 0.1 m above the floor, seconds.
+    /// Longest time in which every joint is more than 0.1 m above the lowest joint's usual height,
+    /// seconds.
     LongestFlight,
     /// Median height of the root, in lengths of the leg.
     RootHeight,

@@ -229,6 +229,8 @@ fn clips_are_counted_and_what_is_wrong_is_listed() {
             ("walk_00001", true),
             ("walk_00003", false),
             ("walk_00003", false),
+            ("walk_00003", false),
+            ("walk_00003", false),
             ("walk_00003", false)
         ],
         "{found:?}"

@@ -14,8 +14,14 @@ const STILL_SPEED: f64 = 0.02;
 /// Added to the speed of the limbs in [`BodyMeasure::Glide`], metres per second.
 const GLIDE_OFFSET: f64 = 0.05;
 
-/// Height of the lowest joint above which a body is in flight, metres.
+/// Height of the lowest joint over its usual lowest one above which a body is in flight, metres.
 const FLIGHT: f64 = 0.1;
+
+/// Percentile of the lowest joint's heights that is the usual one: bodies without toes stand higher.
+const STANDING: f64 = 10.0;
+
+/// Greatest usual height of the lowest joint, metres.
+const HIGHEST_STANDING: f64 = 0.15;
 
 impl BodyMeasure {
     /// Its value; `None` if the clip is too short, the skeleton has no legs, or the measure needs a
@@ -132,7 +138,9 @@ impl BodyMeasure {
             Self::Floating => Some(mean(median(lowest_heights(joints)))),
             Self::LongestFlight => {
                 let heights = lowest_heights(joints);
-                let flights = heights.split(|height| *height <= FLIGHT);
+                let standing = percentile(heights.clone(), STANDING);
+                let most = FLIGHT + standing.clamp(0.0, HIGHEST_STANDING);
+                let flights = heights.split(|height| *height <= most);
                 let longest = flights.map(<[f64]>::len).max().unwrap_or(0);
                 Some(mean(longest as f64 / fps))
             }
