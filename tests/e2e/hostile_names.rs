@@ -216,8 +216,7 @@ mod not_utf8 {
 #[test]
 fn threads_are_those_of_the_machine() {
     let sandbox = sandbox();
-    let mut command =
-        sandbox.command("data synth --phrases 2000 --frames 300 --out set".split(' '));
+    let mut command = sandbox.command("data synth --phrases 100 --frames 300 --out set".split(' '));
     let mut running = command
         .env("RAYON_NUM_THREADS", "2000")
         .spawn()

@@ -134,9 +134,10 @@ fn one_module_prints() {
 /// Whether a line names an option as it is typed, such as `--frames`.
 fn names_a_flag(line: &str) -> bool {
     line.match_indices("--").any(|(at, _)| {
-        let before = line[..at].chars().next_back();
-        let after = line[at + 2..].chars().next();
-        after.is_some_and(|c| c.is_ascii_lowercase())
+        let (before, rest) = (line[..at].chars().next_back(), &line[at + 2..]);
+        rest.starts_with(|c: char| c.is_ascii_lowercase())
+            // Variables of the viewer's style.
+            && !rest.starts_with("kg-")
             && before.is_none_or(|c| c.is_whitespace() || "`\"'(=".contains(c))
     })
 }
