@@ -93,8 +93,8 @@ impl Stretch {
         Ok(complete.collect())
     }
 
-    /// The phrases that begin at [`starts`](Self::starts), with the same errors, each with its
-    /// first frame on the track's timeline.
+    /// The phrases that begin at [`starts`](Self::starts), each after its first frame on the
+    /// track's timeline. Fails as `starts` does.
     pub fn phrases(
         &self,
         first: usize,

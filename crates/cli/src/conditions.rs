@@ -12,7 +12,7 @@ use kinegrad_train::sampling::{
 
 use crate::args::BeatArguments;
 use crate::checkpoint;
-use crate::io::{is_bvh, read_body};
+use crate::io::{BvhReading, is_bvh, read_body};
 
 /// Options that name conditions.
 #[derive(Clone, Debug, Default, Args)]
@@ -101,7 +101,9 @@ impl ConditionArguments {
     /// If the file is not a body.
     pub fn history_joints(&self) -> Result<Option<Joints>, Error> {
         let capture = self.history.as_ref().filter(|file| is_bvh(file));
-        capture.map(|file| read_body(file, true)).transpose()
+        capture
+            .map(|file| read_body(file, &BvhReading::default(), true))
+            .transpose()
     }
 
     /// The conditions.

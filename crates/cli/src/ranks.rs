@@ -10,8 +10,8 @@ use kinegrad_train::{Error, ProcessGroup};
 
 use crate::{log, output};
 
-/// The processes of this command. Processes after the first print only errors. Fails if a launcher
-/// started several processes that this program cannot reach.
+/// The processes of this command. All processes but the first print only errors. Fails if a
+/// launcher started several processes that this program cannot reach.
 pub fn process_group() -> Result<Rc<ProcessGroup>, Error> {
     let group = ProcessGroup::new(ranks()?);
     if !group.writes() {

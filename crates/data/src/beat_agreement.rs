@@ -49,8 +49,8 @@ impl BeatAgreement {
         Self::of(distances.filter_map(|phrase| tracked_error(phrase.clone(), songs)))
     }
 
-    /// True if the beats may agree no better than by chance: the interval of enough phrases reaches
-    /// 0.25.
+    /// True if the beats may agree by chance only: there are enough phrases, and the interval
+    /// reaches 0.25.
     pub fn is_at_chance(&self) -> bool {
         self.phrases >= Self::FEWEST_PHRASES && self.error.high >= CHANCE
     }

@@ -46,7 +46,7 @@ pub struct DataConfig {
     /// initial model.
     pub statistics: StatisticsOf,
     /// Joins consecutive training phrases of one recording (ids `NAME_FIRSTFRAME`), so that random
-    /// crops may begin up to half a phrase before or after a phrase.
+    /// crops may begin up to half a phrase earlier or later.
     pub join_neighbours: bool,
     /// Samples in a batch.
     pub batch_size: usize,

@@ -69,8 +69,8 @@ impl Options {
 #[allow(clippy::too_many_arguments)]
 #[backend_extension(Flex, Autodiff)]
 pub trait FusedOps: Backend {
-    /// [`ConvolutionPlan`] of `x`, whose normalization has the parameters `norm_weight`,
-    /// `norm_bias`, `film` and `mask`.
+    /// Applies a [`ConvolutionPlan`] to `x`; `norm_weight`, `norm_bias`, `film` and `mask` belong
+    /// to its normalization.
     fn fused_convolution(
         x: FloatTensor<Self>,
         weight: FloatTensor<Self>,

@@ -82,7 +82,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Shares the cache with other searches, `searches` in all.
+    /// Divides the cache's memory among `searches` searches.
     #[must_use]
     pub fn among(self, searches: usize) -> Self {
         Self {

@@ -34,6 +34,12 @@ pub enum Fault {
     Corrupt,
     /// The answer is delayed.
     Slow,
+    /// An answer that states ten bytes and comes in chunks, up to 256 MiB.
+    Endless,
+    /// A refusal with the same body.
+    EndlessRefusal,
+    /// A byte of a stated length of 2,000 every 50 ms.
+    Trickle,
 }
 
 /// The remaining faults, and the requests.
@@ -45,6 +51,8 @@ struct Plan {
     requests: Vec<String>,
     under_way: usize,
     most_under_way: usize,
+    /// Mebibytes of endless answers.
+    endless_mib: usize,
 }
 
 /// A server on loopback. Dropping it ends it.
@@ -112,6 +120,13 @@ impl FaultyServer {
     /// # Panics Panics if a thread of the server panicked.
     pub fn injected(&self) -> usize {
         self.plan.lock().expect("the plan").injected
+    }
+
+    /// Mebibytes of endless answers that clients took so far.
+    ///
+    /// # Panics Panics if a thread of the server panicked.
+    pub fn endless_mib(&self) -> usize {
+        self.plan.lock().expect("the plan").endless_mib
     }
 
     /// Number of requests so far whose path contains `path`.
@@ -203,6 +218,9 @@ fn answer(
             return;
         }
         Some(Fault::Slow) => std::thread::sleep(Duration::from_millis(200)),
+        Some(Fault::Endless) => return endless(stream, "200 OK", under_way.0),
+        Some(Fault::EndlessRefusal) => return endless(stream, "403 Forbidden", under_way.0),
+        Some(Fault::Trickle) => return trickle(stream),
         _ => {}
     }
     let mut answer = match upstream {
@@ -232,6 +250,35 @@ fn answer(
     }
     drop(under_way);
     let _ = stream.write_all(&answer);
+}
+
+const DATE: &str = "Last-Modified: Thu, 01 Jan 2026 00:00:00 GMT\r\nConnection: close";
+
+/// States ten bytes and sends chunks until the client disconnects.
+fn endless(mut stream: TcpStream, status: &str, plan: &Mutex<Plan>) {
+    let head = format!(
+        "HTTP/1.1 {status}\r\nContent-Length: 10\r\nTransfer-Encoding: chunked\r\n{DATE}\r\n\r\n"
+    );
+    let chunk = [b"100000\r\n", &vec![b'A'; 1 << 20][..], b"\r\n"].concat();
+    let _ = stream.write_all(head.as_bytes());
+    for _ in 0..256 {
+        if stream.write_all(&chunk).is_err() {
+            break;
+        }
+        plan.lock().expect("the plan").endless_mib += 1;
+    }
+}
+
+/// Sends a byte every 50 ms.
+fn trickle(mut stream: TcpStream) {
+    let head = format!("HTTP/1.1 200 OK\r\nContent-Length: 2000\r\n{DATE}\r\n\r\n");
+    let _ = stream.write_all(head.as_bytes());
+    for _ in 0..600 {
+        if stream.write_all(b"A").is_err() {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(50));
+    }
 }
 
 /// Head, with the connection closed after it, and body.

@@ -270,6 +270,31 @@ fn lasting_faults_end_with_the_object_s_name() {
 }
 
 #[test]
+fn answers_longer_than_stated_and_slow_trickles_end() {
+    for (fault, expected) in [
+        (Fault::Endless, "more than 10 bytes came"),
+        (Fault::EndlessRefusal, "more than 65536 bytes came"),
+        (Fault::Trickle, "did not end within"),
+    ] {
+        let (_folder, server, mut config) = web(true);
+        config.store.max_retries = 0;
+        server.inject("synthetic_00005/features.npz", fault, usize::MAX);
+        let started = std::time::Instant::now();
+        let message = Dataset::<PhraseItem>::open(&config)
+            .expect_err("it never ends")
+            .to_string();
+        assert!(message.contains(expected), "{fault:?}: {message}");
+        assert!(started.elapsed().as_secs() < 20, "{fault:?}");
+        // What the buffers of both sides take.
+        assert!(
+            server.endless_mib() < 64,
+            "{fault:?}: {}",
+            server.endless_mib()
+        );
+    }
+}
+
+#[test]
 fn forbidden_objects_are_not_tried_again() {
     let (_folder, server, config) = web(true);
     server.inject(

@@ -90,7 +90,7 @@ fn a_single_capture_gives_the_joints_of_its_body() {
     let text = capture(&raised, "mixamo", 20.0);
     let bvh = Bvh::parse(text.as_bytes(), "take.bvh").unwrap();
     for retarget in [false, true] {
-        let (found, notes) = read_body(&bvh, "take.bvh", retarget).unwrap();
+        let (found, notes) = read_body(&bvh, "take.bvh", None, None, retarget).unwrap();
         assert_eq!((found.frames(), notes.len()), (31, 0));
         for t in 0..31 {
             for (a, b) in found.frame(t).iter().zip(joints.frame(t)) {
@@ -101,7 +101,9 @@ fn a_single_capture_gives_the_joints_of_its_body() {
     }
     let crab = text.replace("LeftLeg", "Claw");
     let crab = Bvh::parse(crab.as_bytes(), "take.bvh").unwrap();
-    let message = read_body(&crab, "crab.bvh", false).unwrap_err().to_string();
+    let message = read_body(&crab, "crab.bvh", None, None, false)
+        .unwrap_err()
+        .to_string();
     assert!(
         message.starts_with("crab.bvh: no built-in joint map fits"),
         "{message}"

@@ -19,7 +19,7 @@ pub(super) struct Timeline {
     pub beats: Option<Beats>,
     /// The beats of the beat features.
     pub pulse: Option<Pulse>,
-    /// The beats that segments are aligned with; the first segment starts at position 0.
+    /// The beats that segments are aligned with; the first segment starts on beat 0.
     pub segment_beats: Option<Pulse>,
     /// Tempo of tracked beats in beats per minute.
     pub tempo: Option<f64>,

@@ -23,7 +23,7 @@ pub(crate) struct Parts {
     pub list: fn(&Store) -> Result<Vec<Object>, StoreError>,
     /// The id of the item that a file belongs to.
     pub id: fn(&str) -> Option<&str>,
-    /// The files that list its items. They are written last.
+    /// Files that list the dataset's items. They are written last.
     pub index: &'static [&'static str],
 }
 

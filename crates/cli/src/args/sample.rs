@@ -41,6 +41,9 @@ pub struct SampleArguments {
     /// Lock standing feet in the BVH file; the arrays do not change
     #[arg(long)]
     pub lock_feet: bool,
+    /// Write motion that is far out of the bounds of training under its usual name, and exit with 0
+    #[arg(long)]
+    pub allow_unusable: bool,
     /// Samples per condition
     #[arg(long, default_value_t = 1, value_name = "N")]
     pub count: usize,

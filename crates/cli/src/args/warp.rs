@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use kinegrad_motion::path::{ArcLengthMode, HeadingMode};
 
+use super::reading::BvhArguments;
 use super::values::named;
 
 /// Arguments of `kinegrad warp`.
@@ -46,6 +47,8 @@ pub struct WarpArguments {
     /// Meters per unit of a drawing
     #[arg(long, value_name = "METRES")]
     pub metres_per_unit: Option<f64>,
+    #[command(flatten)]
+    pub bvh: BvhArguments,
     /// Print the record as JSON
     #[arg(long)]
     pub json: bool,

@@ -8,7 +8,7 @@ use kinegrad_report::check_ending;
 use kinegrad_train::{Error, Systems};
 
 use crate::args::MatchArguments;
-use crate::io::{Content, file_stem, guess_units, guess_up, is_bvh, must_be_new, write_all};
+use crate::io::{Content, file_stem, is_bvh, must_be_new, unit_and_axis, write_all};
 use crate::output::unusable;
 use crate::{folder, interrupt, output};
 
@@ -36,7 +36,8 @@ pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, 
     let job = job(systems, &arguments, &examples)?;
     let made = job.make(&examples).map_err(unusable)?;
     let features = clip.map(|clip| clip.features(&made.bvh)).transpose()?;
-    let record = Record::new(&arguments, &made);
+    let metres_per_unit = unit_and_axis(&examples[0].bvh, None, Some(job.up)).0;
+    let record = Record::new(&arguments, &made, metres_per_unit);
     let described = serde_json::to_string_pretty(&record).expect("plain data") + "\n";
     let outputs = [
         Some(&arguments.out),
@@ -57,8 +58,7 @@ pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, 
     interrupt::not_during(|| {
         if let Some(svg) = &arguments.svg {
             let names = arguments.examples.iter().map(|path| file_stem(path));
-            let metres = guess_units(&examples[0].bvh, job.up).metres();
-            picture::draw(&made, &names.collect::<Vec<_>>(), metres, svg)?;
+            picture::draw(&made, &names.collect::<Vec<_>>(), metres_per_unit, svg)?;
         }
         write_all(&written)
     })?;
@@ -171,7 +171,7 @@ fn job(
         length: arguments.length,
         seed: arguments.seed,
         content: content.transpose()?,
-        up: arguments.up.unwrap_or_else(|| guess_up(&examples[0].bvh)),
+        up: unit_and_axis(&examples[0].bvh, None, arguments.up).1,
         contacts: is_paper,
         heading: arguments.heading,
         adapts: !sets_mixing(arguments),

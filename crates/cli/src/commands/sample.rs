@@ -42,6 +42,7 @@ fn sample(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, 
     }
     let mut files = Files::new(&arguments.out, arguments.overwrite)?;
     (files.lock_feet, files.collects) = (arguments.lock_feet, arguments.json);
+    files.allows_unusable = arguments.allow_unusable;
     let mut sampler = arguments.sampler.clone();
     let method = arguments.conditions.method.iter();
     sampler
@@ -75,7 +76,18 @@ fn sample(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, 
             output::how_to_view(&files.motions, goal.as_deref());
         }
     }
-    Ok(ExitCode::SUCCESS)
+    if files.unusable == 0 {
+        return Ok(ExitCode::SUCCESS);
+    }
+    tell!(
+        "{} not usable, named `.unusable`: train longer, or sample again with another `--seed`; \
+         `--allow-unusable` gives them their usual names",
+        match files.unusable {
+            1 => "1 sample is".to_owned(),
+            all => format!("{all} samples are"),
+        }
+    );
+    Ok(ExitCode::FAILURE)
 }
 
 /// All samples, for programs.

@@ -16,13 +16,14 @@ use serde::Serialize;
 
 use crate::args::WarpArguments;
 use crate::io::{
-    Content, MotionArray, bvh_file, is_bvh, must_be_new, read_body, stem, with_ending, write_all,
+    BvhReading, Content, MotionArray, bvh_file, is_bvh, must_be_new, read_body, stem, with_ending,
+    write_all,
 };
 use crate::output::unusable;
 use crate::{folder, interrupt, output};
 
-/// Least speed ratio of a stretched motion without a warning.
-const SLOW: f64 = 0.67;
+/// Increase of the foot skating that causes no warning.
+const MORE_SKATING: f64 = 0.1;
 
 /// Largest speed ratio of a stretched motion: steps that are longer leave the legs' reach.
 const LONGEST_STRIDE: f64 = 1.5;
@@ -71,7 +72,8 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
     interrupt::end_between_files();
     let outputs = outputs(&arguments)?;
     let (text, plan) = read_path(&arguments)?;
-    let (joints, skeleton) = read_motion(systems, &arguments.motion)?;
+    let reading = BvhReading::of(&arguments.bvh);
+    let (joints, skeleton) = read_motion(systems, &arguments.motion, &reading)?;
     let path = plan.polyline().map_err(unusable)?;
     let warp = Warp {
         along: arguments.along,
@@ -208,9 +210,13 @@ fn read_path(arguments: &WarpArguments) -> Result<(String, PathPlan), Error> {
 }
 
 /// The joints of a motion and their skeleton.
-fn read_motion(systems: Systems<'_>, path: &Path) -> Result<(Joints, Skeleton), Error> {
+fn read_motion(
+    systems: Systems<'_>,
+    path: &Path,
+    reading: &BvhReading,
+) -> Result<(Joints, Skeleton), Error> {
     let (joints, skeleton) = match is_bvh(path) {
-        true => (read_body(path, false)?, Skeleton::humanml3d()),
+        true => (read_body(path, reading, false)?, Skeleton::humanml3d()),
         false => MotionArray::read(systems, path)?.body()?,
     };
     if joints.frames() < 2 {
@@ -289,12 +295,22 @@ impl Record {
                 self.path_length
             );
         }
-        if along == ArcLengthMode::Stretch && self.speed_ratio < SLOW {
+        let skating = |body: &BodyQuality| body.foot_skating.unwrap_or(0.0);
+        let (before, after) = (skating(&self.before), skating(&self.after.body));
+        if after > before + MORE_SKATING {
             let ratio = self.speed_ratio;
+            let other = match along {
+                ArcLengthMode::Stretch => format!(
+                    "; the root is {ratio:.2} times as fast: give a path of the motion's length \
+                     ({:.2} m), or `--along own`",
+                    self.path_length / ratio
+                ),
+                ArcLengthMode::Own => String::new(),
+            };
             tell!(
-                "warning: the root is {ratio:.2} times as fast as before, so feet slide: give a path of \
-                 the motion's length ({:.2} m), or `--along own`",
-                self.path_length / ratio
+                "warning: feet slide in {:.0} % of the frames, {:.0} % before{other}",
+                100.0 * after,
+                100.0 * before
             );
         }
         let Some(feet) = &self.feet else { return };

@@ -45,9 +45,9 @@ pub fn read_bvh(path: &Path) -> Result<Bvh, Error> {
 }
 
 /// The body of a BVH file as joints of the HumanML3D skeleton ([`clips::read_body`]); prints notes.
-pub fn read_body(path: &Path, retarget: bool) -> Result<Joints, Error> {
+pub fn read_body(path: &Path, reading: &BvhReading, retarget: bool) -> Result<Joints, Error> {
     let file = path.display().to_string();
-    let body = clips::read_body(&read_bvh(path)?, &file, retarget);
+    let body = clips::read_body(&read_bvh(path)?, &file, reading.units, reading.up, retarget);
     let (joints, notes) = body.map_err(unusable)?;
     for note in notes {
         tell!("note: {file}: {note}");
@@ -85,20 +85,18 @@ pub struct Capture {
 }
 
 impl Capture {
-    /// Reads a BVH file. Prints the unit and the vertical axis if one is a guess.
+    /// Reads a BVH file. Prints its unit and its vertical axis unless both are given.
     pub fn read(path: &Path, reading: &BvhReading) -> Result<Self, Error> {
         let bvh = read_bvh(path)?;
-        let up = reading.up.unwrap_or_else(|| guess_up(&bvh));
-        let units = reading.units.unwrap_or_else(|| guess_units(&bvh, up));
+        let (metres, up) = unit_and_axis(&bvh, reading.units, reading.up);
         if reading.units.is_none() || reading.up.is_none() {
             let axis = if up == UpAxis::Y { "y" } else { "z" };
             tell!(
                 "note: {} is read in {} with {axis} up; set `--units` and `--up` to change that",
                 path.display(),
-                in_words(units)
+                in_words(metres)
             );
         }
-        let metres = units.metres();
         Ok(Self { bvh, metres, up })
     }
 
@@ -203,9 +201,20 @@ fn with_locked_feet(
     as_bvh(&locked.joints, skeleton)
 }
 
+/// The unit of a BVH file, metres, and the axis that points up. What is not given is that of
+/// [`clips::Body`] if the joints are known, else a guess.
+pub fn unit_and_axis(bvh: &Bvh, units: Option<Units>, up: Option<UpAxis>) -> (f64, UpAxis) {
+    if let Ok(body) = clips::Body::of_bvh(bvh, units, up) {
+        return (body.metres_per_unit, body.up);
+    }
+    let up = up.unwrap_or_else(|| guess_up(bvh));
+    let units = units.unwrap_or_else(|| guess_units(bvh, up));
+    (units.metres(), up)
+}
+
 /// The axis along which feet are further below the median joint; y if no joint has a foot's name.
 /// The root counts only towards the median, because some files leave it at the origin.
-pub fn guess_up(bvh: &Bvh) -> UpAxis {
+fn guess_up(bvh: &Bvh) -> UpAxis {
     up_of(&names(bvh), &first_frame(bvh))
 }
 
@@ -226,7 +235,7 @@ fn up_of(names: &[String], places: &[[f64; 3]]) -> UpAxis {
 
 /// The unit in which the body's height is nearest to a person's. The ground is at 0, or at a lower
 /// lowest joint.
-pub fn guess_units(bvh: &Bvh, up: UpAxis) -> Units {
+fn guess_units(bvh: &Bvh, up: UpAxis) -> Units {
     units_of(&first_frame(bvh), up)
 }
 
@@ -240,14 +249,19 @@ fn units_of(places: &[[f64; 3]], up: UpAxis) -> Units {
     best.unwrap_or_default()
 }
 
-fn in_words(units: Units) -> &'static str {
-    match units {
-        Units::M => "metres",
-        Units::Cm => "centimetres",
-        Units::Mm => "millimetres",
-        Units::Inch => "inches",
-        Units::Cmu => "units of the CMU database",
-        Units::Metres(_) => "the given unit",
+/// A unit of so many meters.
+fn in_words(metres: f64) -> String {
+    let known = [
+        (Units::M, "metres"),
+        (Units::Cm, "centimetres"),
+        (Units::Mm, "millimetres"),
+        (Units::Inch, "inches"),
+        (Units::Cmu, "units of the CMU database"),
+    ];
+    let name = known.iter().find(|(units, _)| units.metres() == metres);
+    match name {
+        Some((_, name)) => (*name).to_owned(),
+        None => format!("units of {metres:.5} m"),
     }
 }
 

@@ -17,6 +17,9 @@ use crate::progress::Denoising;
 /// Extension of a sample's record.
 const RECORD: &str = ".json";
 
+/// Ending of the names of samples that are [not usable](Record::is_usable).
+const UNUSABLE: &str = ".unusable";
+
 /// A sample that was written.
 #[derive(Serialize)]
 pub struct Written {
@@ -35,6 +38,10 @@ pub struct Files {
     bar: Option<Denoising>,
     /// Prints neither files nor notes; warnings are printed.
     is_silent: bool,
+    /// Gives all samples their usual names.
+    pub(crate) allows_unusable: bool,
+    /// Number of samples that are not usable.
+    pub(crate) unusable: usize,
     /// Collects the samples in `collected` instead of printing their files.
     pub(crate) collects: bool,
     pub(crate) collected: Vec<Written>,
@@ -64,6 +71,7 @@ impl Files {
             stem: folder.join("").into_os_string(),
             overwrite: true,
             is_silent: true,
+            allows_unusable: true,
             ..Self::default()
         }
     }
@@ -160,7 +168,8 @@ impl SampleSink for Files {
             let mut extensions = extensions.iter().chain([&RECORD]);
             extensions.any(|extension| {
                 let name = rest.and_then(|rest| rest.strip_suffix(extension));
-                name.is_some_and(|name| names.contains(name))
+                let usual = name.map(|name| name.strip_suffix(UNUSABLE).unwrap_or(name));
+                usual.is_some_and(|name| names.contains(name))
             })
         };
         let mut taken: Vec<String> = files.filter(is_taken).collect();
@@ -178,11 +187,15 @@ impl SampleSink for Files {
         ))
     }
 
-    fn sample(&mut self, sample: Sample) -> Result<(), Error> {
+    fn sample(&mut self, mut sample: Sample) -> Result<(), Error> {
         if let Some(bar) = self.bar.take() {
             bar.finish();
         }
         must_be_finite(&sample, &self.stem.to_string_lossy())?;
+        if !self.allows_unusable && !sample.record.is_usable() {
+            sample.name += UNUSABLE;
+            self.unusable += 1;
+        }
         let files = interrupt::not_during(|| self.write(&sample))?;
         self.motions.extend(files.first().cloned());
         let written = Written {

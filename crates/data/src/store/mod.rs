@@ -3,6 +3,8 @@
 //! Local folders are read directly, because the local store of `object_store` follows symbolic
 //! links out of the folder. Buckets and web servers use `object_store` (Cargo feature `cloud`).
 
+#[cfg(feature = "cloud")]
+mod bounded;
 mod error;
 mod local;
 #[cfg(feature = "cloud")]

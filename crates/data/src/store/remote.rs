@@ -14,6 +14,7 @@ use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload};
 use tokio::runtime::Runtime;
 use tokio::sync::Semaphore;
 
+use super::bounded::{LARGEST_PAGE, LARGEST_REFUSAL};
 use super::{Backend, Object, StoreError, services};
 use crate::layout::check_path;
 use crate::location::Service;
@@ -24,6 +25,12 @@ const FIRST_PAUSE: Duration = Duration::from_millis(100);
 
 /// Longest pause.
 const LONGEST_PAUSE: Duration = Duration::from_secs(20);
+
+/// Slowest transfer, bytes per second; a slower one is cut off.
+const SLOWEST: f64 = 4096.0;
+
+/// Most objects in a listing.
+const MOST_LISTED: usize = 1_000_000;
 
 /// A bucket and a prefix, or a web server and a path.
 #[derive(Debug)]
@@ -36,6 +43,7 @@ pub(super) struct Remote {
     /// Endpoint of the config; empty for the service's own.
     endpoint: String,
     max_retries: usize,
+    timeout: Duration,
     requests: Semaphore,
     runtime: Runtime,
     counters: Arc<Counters>,
@@ -73,6 +81,7 @@ impl Remote {
             endpoint: config.endpoint.clone().unwrap_or_default(),
             store,
             max_retries: config.max_retries,
+            timeout: Duration::from_secs_f64(config.timeout_seconds),
             requests: Semaphore::new(config.concurrency),
             runtime,
             counters,
@@ -100,6 +109,36 @@ impl Remote {
             reason: "object stores do not take it",
         })?;
         Ok((object, key))
+    }
+
+    /// The object of a listing, if it is [listed](is_listed).
+    fn listed(&self, meta: &ObjectMeta, folder: &str, file: Option<&str>) -> Option<Object> {
+        let location = meta.location.to_string();
+        let path = match self.prefix.as_str() {
+            "" => location.as_str(),
+            prefix => location.strip_prefix(prefix)?.strip_prefix('/')?,
+        };
+        is_listed(path, folder, file).then(|| Object {
+            path: path.to_owned(),
+            bytes: meta.size,
+            version: version(meta),
+        })
+    }
+
+    /// Waits for a transfer of at most that many bytes.
+    async fn within<T>(
+        &self,
+        bytes: u64,
+        transfer: impl Future<Output = object_store::Result<T>>,
+    ) -> Result<T, Failure> {
+        let longest = self.timeout + Duration::from_secs_f64(bytes as f64 / SLOWEST);
+        match tokio::time::timeout(longest, transfer).await {
+            Ok(outcome) => outcome.map_err(Failure::Request),
+            Err(_) => Err(Failure::CutOff(format!(
+                "the transfer did not end within {:.0} s",
+                longest.as_secs_f64()
+            ))),
+        }
     }
 
     /// Runs `request` until it succeeds, fails permanently or exceeds the maximum number of
@@ -165,7 +204,7 @@ impl Backend for Remote {
     fn read(&self, path: &str, limit: u64) -> Result<(Vec<u8>, String), StoreError> {
         let (object, key) = self.key(path)?;
         self.try_often(&object, "read", || async {
-            let found = self.store.get(&key).await.map_err(Failure::Request)?;
+            let found = self.within(LARGEST_REFUSAL, self.store.get(&key)).await?;
             let length = found.meta.size;
             let version = version(&found.meta);
             if length > limit {
@@ -175,7 +214,7 @@ impl Backend for Remote {
                     limit,
                 }));
             }
-            let bytes = found.bytes().await.map_err(Failure::Request)?;
+            let bytes = self.within(length, found.bytes()).await?;
             if bytes.len() as u64 != length {
                 let reason = format!("{} of {length} bytes came", bytes.len());
                 return Err(Failure::CutOff(reason));
@@ -188,9 +227,10 @@ impl Backend for Remote {
         self.must_be_writable()?;
         let (object, key) = self.key(path)?;
         let payload = PutPayload::from(bytes);
+        let bytes = payload.content_length() as u64;
         self.try_often(&object, "write", || async {
-            let put = self.store.put(&key, payload.clone()).await;
-            put.map(drop).map_err(Failure::Request)
+            let put = self.store.put(&key, payload.clone());
+            self.within(bytes, put).await.map(drop)
         })
     }
 
@@ -198,9 +238,10 @@ impl Backend for Remote {
         self.must_be_writable()?;
         let (object, key) = self.key(path)?;
         self.try_often(&object, "remove", || async {
-            match self.store.delete(&key).await {
-                Err(object_store::Error::NotFound { .. }) => Ok(()),
-                removed => removed.map_err(Failure::Request),
+            let delete = self.store.delete(&key);
+            match self.within(LARGEST_REFUSAL, delete).await {
+                Err(Failure::Request(object_store::Error::NotFound { .. })) => Ok(()),
+                removed => removed,
             }
         })
     }
@@ -210,23 +251,20 @@ impl Backend for Remote {
             return Err(StoreError::NoListing(self.uri.clone()));
         }
         let (object, key) = self.key(folder)?;
-        let found: Vec<ObjectMeta> = self.try_often(&object, "list", || async {
-            let listing = self.store.list(Some(&key)).try_collect().await;
-            listing.map_err(Failure::Request)
-        })?;
-        let objects = found.into_iter().filter_map(|meta| {
-            let location = meta.location.to_string();
-            let path = match self.prefix.as_str() {
-                "" => location.as_str(),
-                prefix => location.strip_prefix(prefix)?.strip_prefix('/')?,
-            };
-            is_listed(path, folder, file).then(|| Object {
-                path: path.to_owned(),
-                bytes: meta.size,
-                version: version(&meta),
-            })
-        });
-        Ok(objects.collect())
+        self.try_often(&object, "list", || async {
+            let mut listing = self.store.list(Some(&key));
+            let (mut objects, mut count) = (Vec::new(), 0);
+            while let Some(meta) = self.within(LARGEST_PAGE, listing.try_next()).await? {
+                count += 1;
+                if count > MOST_LISTED {
+                    let reason = format!("more than {MOST_LISTED} objects are listed");
+                    let error = failed(&object, "list", 1, reason);
+                    return Err(Failure::Final(error));
+                }
+                objects.extend(self.listed(&meta, folder, file));
+            }
+            Ok(objects)
+        })
     }
 }
 

@@ -8,6 +8,7 @@ use object_store::gcp::{GcpCredential, GoogleCloudStorageBuilder};
 use object_store::http::HttpBuilder;
 use object_store::{ClientOptions, ObjectStore, RetryConfig, StaticCredentialProvider};
 
+use super::bounded::BoundedConnector;
 use crate::StoreConfig;
 use crate::location::Service;
 
@@ -30,7 +31,8 @@ fn gcs(bucket: &str, config: &StoreConfig) -> object_store::Result<Box<dyn Objec
     let mut builder = GoogleCloudStorageBuilder::from_env()
         .with_bucket_name(bucket)
         .with_client_options(client_options(config))
-        .with_retry(no_retries());
+        .with_retry(no_retries())
+        .with_http_connector(BoundedConnector);
     let emulator = emulator();
     let endpoint = config.endpoint.as_ref().or(emulator.as_ref());
     if let Some(endpoint) = endpoint {
@@ -62,7 +64,8 @@ fn s3(bucket: &str, config: &StoreConfig) -> object_store::Result<Box<dyn Object
     let mut builder = AmazonS3Builder::from_env()
         .with_bucket_name(bucket)
         .with_client_options(client_options(config))
-        .with_retry(no_retries());
+        .with_retry(no_retries())
+        .with_http_connector(BoundedConnector);
     if let Some(endpoint) = &config.endpoint {
         builder = builder.with_endpoint(endpoint.trim_end_matches('/'));
     }
@@ -76,7 +79,8 @@ fn http(uri: &str, config: &StoreConfig) -> object_store::Result<Box<dyn ObjectS
     let builder = HttpBuilder::new()
         .with_url(uri)
         .with_client_options(client_options(config))
-        .with_retry(no_retries());
+        .with_retry(no_retries())
+        .with_http_connector(BoundedConnector);
     Ok(Box::new(builder.build()?))
 }
 

@@ -4,7 +4,7 @@ use super::columns::{LINES, write_columns};
 use super::simd::vectorized;
 use super::team;
 
-/// Order in which a product reads a weight `[outer, inner, kernel]`.
+/// Order in which a matrix product reads a weight `[outer, inner, kernel]`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Direction<'a> {
     /// Columns are the outer channels; windows contain the inner channels of all taps, in order.

@@ -25,7 +25,7 @@ const SLOWEST: f64 = 0.6;
 const HARMLESS_TOE: f64 = 0.005;
 const HARMLESS_TURN: f64 = 10.0;
 
-/// Physical measures of motions, in file units and seconds.
+/// Physical measures of motions, in file units, or in metres ([`Quality::in_metres`]), and seconds.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Movement {
     /// Mean horizontal speed of toes within 0.03 body heights of the floor; none without feet.
@@ -53,7 +53,7 @@ pub struct Quality {
     pub motion: Movement,
     /// The examples: means over all their frames and the largest of all.
     pub examples: Movement,
-    /// Height of the body, in file units.
+    /// Height of the body, in their units.
     #[serde(skip)]
     height: f64,
 }
@@ -210,7 +210,29 @@ impl Reference {
     }
 }
 
+impl Movement {
+    fn scaled(self, by: f64) -> Self {
+        Self {
+            toe_speed_while_low: self.toe_speed_while_low.map(|speed| by * speed),
+            jerk: by * self.jerk,
+            fastest_joint: by * self.fastest_joint,
+            mean_speed: by * self.mean_speed,
+            ..self
+        }
+    }
+}
+
 impl Quality {
+    /// The measures in metres, of motions in units of so many metres.
+    #[must_use]
+    pub fn in_metres(self, metres_per_unit: f64) -> Self {
+        Self {
+            motion: self.motion.scaled(metres_per_unit),
+            examples: self.examples.scaled(metres_per_unit),
+            height: metres_per_unit * self.height,
+        }
+    }
+
     /// `harmless`: toe speed that is always allowed, in body heights a second.
     fn bounded(&self, harmless: f64) -> Vec<Bounded> {
         let (motion, examples) = (&self.motion, &self.examples);

@@ -8,13 +8,24 @@ use serde::Serialize;
 pub struct Sliding {
     /// Fraction of the frames in contact, over all feet.
     pub in_contact: f64,
-    /// Mean speed in contact before locking, in file units a second.
+    /// Mean speed in contact before locking, in file units, or in metres
+    /// ([`in_metres`](Self::in_metres)), a second.
     pub before: f64,
     /// The same after locking.
     pub after: f64,
 }
 
 impl Sliding {
+    /// The speeds in metres, of motions in units of so many metres.
+    #[must_use]
+    pub fn in_metres(self, metres_per_unit: f64) -> Self {
+        Self {
+            before: metres_per_unit * self.before,
+            after: metres_per_unit * self.after,
+            ..self
+        }
+    }
+
     /// Sliding of legs in motions `[frames][joints]` with contacts `[legs][frames]`.
     pub(crate) fn of(
         before: &[Vec<[f64; 3]>],

@@ -22,7 +22,7 @@ const ROUNDS: usize = 4;
 /// Distance out of reach that is left to the last clamp, metres.
 const NEAR: f64 = 1e-3;
 
-/// The foot of one leg, as it moves and as it should.
+/// A foot's contacts, unwanted steps and reach.
 pub(super) struct Foot<'a, F: Fn(usize, [f64; 3]) -> [f64; 3]> {
     /// Steps to the next frame that the correction cancels in contact, metres, `[frames - 1]`.
     pub unwanted: Vec<[f64; 3]>,

@@ -32,12 +32,15 @@ impl Goal {
         })
     }
 
+    /// The distance of the line from `a` to `b` from the nearest obstacle, metres; negative inside.
+    pub(super) fn clearance(&self, a: Point, b: Point) -> f64 {
+        let distances = self.obstacles.iter().map(|each| each.swept_distance(a, b));
+        distances.fold(f64::INFINITY, f64::min)
+    }
+
     /// The corners of the line from `from` to `to`, both included.
-    fn detour(&self, from: Point, to: Point) -> Vec<Point> {
-        let distance = |a, b| {
-            let distances = self.obstacles.iter().map(|each| each.swept_distance(a, b));
-            distances.fold(f64::INFINITY, f64::min)
-        };
+    pub(super) fn detour(&self, from: Point, to: Point) -> Vec<Point> {
+        let distance = |a, b| self.clearance(a, b);
         let ends = distance(from, from).min(distance(to, to));
         let least = ends.min(self.margin + CLEARANCE) - 1e-9;
         let is_free = |a, b| distance(a, b) >= least;
@@ -186,11 +189,6 @@ mod tests {
             .collect()
     }
 
-    fn distance(goal: &Goal, a: Point, b: Point) -> f64 {
-        let all = goal.obstacles.iter().map(|each| each.swept_distance(a, b));
-        all.fold(f64::INFINITY, f64::min)
-    }
-
     #[test]
     fn a_line_goes_around_obstacles_at_constant_speed() {
         let wall = [[-2.0, 1.9], [1.0, 1.9], [1.0, 2.1], [-2.0, 2.1]];
@@ -227,7 +225,7 @@ mod tests {
             assert!((60.0 * longest) < 8.0, "{longest}");
             for pair in line.windows(2) {
                 // Steps over a corner may cut it.
-                assert!(distance(&goal, pair[0], pair[1]) > 0.25, "{pair:?}");
+                assert!(goal.clearance(pair[0], pair[1]) > 0.25, "{pair:?}");
             }
         }
     }

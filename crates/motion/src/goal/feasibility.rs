@@ -13,16 +13,19 @@ struct Stop {
 }
 
 impl Goal {
-    /// Warnings about a valid goal: segments faster than a sprinter, and positions in obstacles.
-    pub fn feasibility_warnings(&self, fps: f64) -> Vec<String> {
+    /// Warnings about a valid goal: segments faster than a sprinter or than `fastest`, the fastest
+    /// step of training in metres per second, positions in obstacles, and positions that obstacles
+    /// enclose.
+    pub fn feasibility_warnings(&self, fps: f64, fastest: f64) -> Vec<String> {
         let stops = self.stops();
-        let segments = too_fast(&stops, fps);
+        let segments = too_fast(&stops, fps, fastest);
         let mut warnings: Vec<String> = match self.trajectory {
             // One warning for all points.
-            Some(_) => fastest(segments.collect()).into_iter().collect(),
+            Some(_) => worst_of(segments.collect()).into_iter().collect(),
             None => segments.map(|(_, text)| text).collect(),
         };
         warnings.extend(self.inside_obstacles(&stops));
+        warnings.extend(self.enclosed(&stops));
         warnings
     }
 
@@ -68,26 +71,50 @@ impl Goal {
         }
         warnings
     }
+
+    /// The first segment between keyframes that crosses an obstacle on every line that was found.
+    fn enclosed(&self, stops: &[Stop]) -> Option<String> {
+        if self.trajectory.is_some() {
+            return None;
+        }
+        let is_free = |stop: &Stop| self.clearance(stop.position, stop.position) > 0.0;
+        let crosses = |pair: &&[Stop]| {
+            let corners = self.detour(pair[0].position, pair[1].position);
+            let mut lines = corners.windows(2);
+            let is_crossed = lines.any(|line| self.clearance(line[0], line[1]) < 0.0);
+            pair.iter().all(is_free) && is_crossed
+        };
+        let pair = stops.windows(2).find(crosses)?;
+        Some(format!(
+            "no line from {} (frame {}) to {} (frame {}) around the obstacles was found: the motion \
+             may cross them",
+            pair[0].name, pair[0].frame, pair[1].name, pair[1].frame
+        ))
+    }
 }
 
 /// Segments between neighboring targets that are too fast, with their speed.
-fn too_fast(stops: &[Stop], fps: f64) -> impl Iterator<Item = (f64, String)> {
+fn too_fast(stops: &[Stop], fps: f64, fastest: f64) -> impl Iterator<Item = (f64, String)> {
     stops.windows(2).filter_map(move |pair| {
         let [from, to] = pair else { return None };
         let metres = (to.position[0] - from.position[0]).hypot(to.position[1] - from.position[1]);
         let seconds = (to.frame - from.frame) as f64 / fps;
         let speed = metres / seconds;
+        let reason = match speed > FASTEST {
+            true => format!("no body runs faster than {FASTEST} m/s, so the goal will be missed"),
+            false => format!("the fastest step of training is {fastest:.2} m/s"),
+        };
         let text = format!(
             "from {} (frame {}) to {} (frame {}) it is {metres:.1} m in {seconds:.2} s, {speed:.1} \
-             m/s: no body runs faster than {FASTEST} m/s, so the goal will be missed",
+             m/s: {reason}",
             from.name, from.frame, to.name, to.frame
         );
-        (speed > FASTEST).then_some((speed, text))
+        (speed > fastest.min(FASTEST)).then_some((speed, text))
     })
 }
 
 /// The fastest segment, and the number of other segments.
-fn fastest(segments: Vec<(f64, String)>) -> Option<String> {
+fn worst_of(segments: Vec<(f64, String)>) -> Option<String> {
     let all = segments.len();
     let (_, text) = segments.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
     Some(match all {
@@ -111,7 +138,7 @@ mod tests {
 
     #[test]
     fn a_segment_that_is_too_fast_is_named_with_distance_time_and_speed() {
-        let warnings = goal(&[(30, 0.0, 100.0)]).feasibility_warnings(20.0);
+        let warnings = goal(&[(30, 0.0, 100.0)]).feasibility_warnings(20.0, FASTEST);
         assert_eq!(warnings.len(), 1);
         for part in [
             "the start (frame 0)",
@@ -122,7 +149,8 @@ mod tests {
             assert!(warnings[0].contains(part), "{warnings:?}");
         }
         // The keyframes are unsorted; only the second segment is too fast.
-        let warnings = goal(&[(60, 0.0, 30.0), (40, 0.0, 10.0)]).feasibility_warnings(20.0);
+        let warnings =
+            goal(&[(60, 0.0, 30.0), (40, 0.0, 10.0)]).feasibility_warnings(20.0, FASTEST);
         assert_eq!(warnings.len(), 1, "{warnings:?}");
         assert!(warnings[0].contains("from keyframe[1] (frame 40) to keyframe[0] (frame 60)"));
     }
@@ -131,15 +159,65 @@ mod tests {
     fn a_possible_speed_has_no_warning() {
         assert!(
             goal(&[(20, 0.0, 11.9)])
-                .feasibility_warnings(20.0)
+                .feasibility_warnings(20.0, FASTEST)
                 .is_empty()
         );
         assert!(
             goal(&[(0, 5.0, 5.0), (20, 5.0, 6.0)])
-                .feasibility_warnings(20.0)
+                .feasibility_warnings(20.0, FASTEST)
                 .is_empty()
         );
-        assert!(Goal::new(10).feasibility_warnings(20.0).is_empty());
+        assert!(Goal::new(10).feasibility_warnings(20.0, FASTEST).is_empty());
+    }
+
+    #[test]
+    fn a_segment_faster_than_training_is_named() {
+        let goal = goal(&[(20, 0.0, 3.0)]);
+        assert!(goal.feasibility_warnings(20.0, 3.1).is_empty());
+        let warnings = goal.feasibility_warnings(20.0, 1.6);
+        assert_eq!(warnings.len(), 1, "{warnings:?}");
+        assert!(
+            warnings[0].ends_with("3.0 m/s: the fastest step of training is 1.60 m/s"),
+            "{warnings:?}"
+        );
+    }
+
+    #[test]
+    fn an_enclosed_keyframe_is_named() {
+        let mut goal = goal(&[(60, 0.0, 3.0)]);
+        let wall = |side: f64| {
+            let corner = |x: f64, z: f64| [side * x, 3.0 + side * z];
+            [
+                corner(-1.0, 0.9),
+                corner(1.0, 0.9),
+                corner(1.0, 1.0),
+                corner(-1.0, 1.0),
+            ]
+            .to_vec()
+        };
+        let across = |side: f64| {
+            let corner = |x: f64, z: f64| [side * x, 3.0 + z];
+            [
+                corner(0.9, -1.0),
+                corner(1.0, -1.0),
+                corner(1.0, 1.0),
+                corner(0.9, 1.0),
+            ]
+            .to_vec()
+        };
+        goal.obstacles = [wall(-1.0), wall(1.0), across(-1.0)]
+            .map(|vertices| Obstacle::Polygon { vertices })
+            .to_vec();
+        assert!(goal.feasibility_warnings(20.0, FASTEST).is_empty());
+        goal.obstacles.push(Obstacle::Polygon {
+            vertices: across(1.0),
+        });
+        let warnings = goal.feasibility_warnings(20.0, FASTEST);
+        assert_eq!(warnings.len(), 1, "{warnings:?}");
+        assert!(
+            warnings[0].starts_with("no line from the start (frame 0) to keyframe[0] (frame 60)"),
+            "{warnings:?}"
+        );
     }
 
     #[test]
@@ -150,7 +228,7 @@ mod tests {
             first_frame: 0,
             points,
         });
-        let warnings = goal.feasibility_warnings(20.0);
+        let warnings = goal.feasibility_warnings(20.0, FASTEST);
         assert_eq!(warnings.len(), 1, "{warnings:?}");
         assert!(warnings[0].contains("trajectory.points[1] (frame 1) to trajectory.points[2]"));
         assert!(
@@ -167,7 +245,7 @@ mod tests {
             z: 1.25,
             radius: 0.5,
         }];
-        let warnings = goal.feasibility_warnings(20.0);
+        let warnings = goal.feasibility_warnings(20.0, FASTEST);
         assert_eq!(warnings.len(), 1, "{warnings:?}");
         assert!(warnings[0].starts_with("keyframe[0] (frame 60) is 0.25 m inside obstacle[0]"));
     }

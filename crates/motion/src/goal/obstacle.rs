@@ -240,6 +240,7 @@ mod tests {
                 "{few:?}"
             );
         }
+        assert!(message(polygon(&[a])).contains("1 distinct corner"));
         let middle = [1.0, 0.0];
         for crossing in [
             &[a, c, b, d][..],

@@ -1,6 +1,6 @@
 //! Plane geometry of simple polygons.
 
-use kinegrad_settings::{InvalidSetting, Refused, require};
+use kinegrad_settings::{InvalidSetting, Refused, counted, require};
 
 use crate::vector::minus;
 
@@ -75,13 +75,13 @@ pub(super) fn share_nearest(point: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
 
 /// Rejects polygons with fewer than three corners, and edges that touch between corners.
 pub(super) fn check(vertices: &[[f64; 2]]) -> Result<(), InvalidSetting> {
-    let edges: Vec<_> = edges(vertices).collect();
-    let mut corners: Vec<[f64; 2]> = edges.iter().map(|(corner, _)| *corner).collect();
+    let mut corners = vertices.to_vec();
     corners.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
     corners.dedup();
-    let found = format!("a list of {} distinct corners", corners.len());
+    let found = format!("a list of {}", counted(corners.len(), "distinct corner"));
     require(corners.len() >= 3, "vertices", found, "three or more")
         .hint("name the corners in order around the obstacle, or use the kind `disc`")?;
+    let edges: Vec<_> = edges(vertices).collect();
     for (i, &first) in edges.iter().enumerate() {
         for (distance, &second) in edges[i + 1..].iter().enumerate() {
             let j = i + 1 + distance;

@@ -29,9 +29,9 @@ pub struct GuidanceSchedule {
     /// Last timestep at which keyframes act.
     pub points_until: usize,
     /// Last timestep at which positions are imputed into the motion model's samples (1 in the
-    /// published demonstration). The default is 0 along a path or with a trajectory model, else
-    /// `points_until`, which always ends guidance. Without a trajectory model, keyframes end at
-    /// `points_until` at the latest: the motion would jump to single imputed frames.
+    /// published demonstration). The default is 0 along a path, along a detour or with a trajectory
+    /// model, else `points_until`, which always ends guidance. Without a trajectory model, single
+    /// keyframes end at `points_until` at the latest: the motion would jump to them.
     pub motion_until: Option<usize>,
 }
 
@@ -46,19 +46,10 @@ impl Default for GuidanceSchedule {
 }
 
 impl GuidanceSchedule {
-    /// Phase of guidance and of imputation into a trajectory model's samples at timestep `t`.
+    /// Phase at timestep `t`.
     pub fn phase(&self, t: usize) -> Phase {
-        self.until(self.points_until, t)
-    }
-
-    /// Phase of imputation into the motion model's samples at timestep `t`.
-    pub fn phase_of_motion(&self, t: usize) -> Phase {
-        self.until(self.motion_until.unwrap_or(self.points_until), t)
-    }
-
-    fn until(&self, last: usize, t: usize) -> Phase {
         match t {
-            _ if t < last => Phase::Off,
+            _ if t < self.points_until => Phase::Off,
             _ if t < self.dense_until => Phase::Points,
             _ => Phase::Dense,
         }
@@ -91,34 +82,6 @@ mod tests {
             Phase::Off,
         ];
         assert_eq!(phases, expected);
-        assert_eq!(
-            phases,
-            [999, 100, 99, 20, 19, 0].map(|t| schedule.phase_of_motion(t))
-        );
-    }
-
-    #[test]
-    fn the_motion_model_may_be_imputed_longer_or_shorter() {
-        let until = |motion_until| GuidanceSchedule {
-            motion_until,
-            ..GuidanceSchedule::default()
-        };
-        let phases = [999, 99, 19, 1, 0].map(|t| until(Some(1)).phase_of_motion(t));
-        let expected = [
-            Phase::Dense,
-            Phase::Points,
-            Phase::Points,
-            Phase::Points,
-            Phase::Off,
-        ];
-        assert_eq!(phases, expected);
-        assert_eq!(
-            until(Some(1)).phase(19),
-            Phase::Off,
-            "guidance ends as before"
-        );
-        let phases = [400, 399].map(|t| until(Some(400)).phase_of_motion(t));
-        assert_eq!(phases, [Phase::Dense, Phase::Off]);
     }
 
     #[test]

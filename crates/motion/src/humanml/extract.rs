@@ -62,8 +62,8 @@ impl Extraction {
         self.features(skeleton, &extrapolated(joints)?)
     }
 
-    /// The features of an unchanged clip: heights are above y = 0, and the first frame counts as
-    /// facing +z.
+    /// The features of the clip as it is: heights are measured from y = 0, and the first frame
+    /// counts as facing +z.
     ///
     /// # Errors
     /// The errors of [`features`](Self::features).

@@ -5,9 +5,10 @@ use std::ops::Range;
 use super::{Curves, Representation, root_mean_square};
 use crate::derivatives::{differences, jerk_of};
 use crate::humanml::units::MILLIMETRE;
-use crate::humanml::{FeatureLayout, Features, Joints, Root, Skeleton};
+use crate::humanml::{Extraction, FeatureLayout, Features, Joints, Root, Skeleton};
+use crate::moments;
 use crate::statistics::CONSTANT;
-use crate::vector::{length, minus};
+use crate::vector::{dot, length, minus};
 use crate::{BodyMeasure, ChannelMoments, Check, Statistics, Threshold};
 
 /// Allowed mean error of the stated velocities, as a share of the mean step.
@@ -15,6 +16,12 @@ const VELOCITY_SHARE: f64 = 0.75;
 
 /// Allowed deviation of a rotation's columns from unit length.
 const COLUMN_TOLERANCE: f32 = 0.05;
+
+/// Allowed mean of that deviation. Networks generate columns that are not normalized.
+const MEAN_COLUMN_TOLERANCE: f64 = 0.3;
+
+/// Least share of the contacts that agree with the steps of the feet.
+const AGREEING_CONTACTS: f64 = 0.5;
 
 /// Joint features of a skeleton, `[frames, 12 J - 1]` for J joints (docs/sources.md, section 3.1).
 /// Deviations are averaged within the seven groups of the layout (section 3.5).
@@ -117,10 +124,14 @@ impl Representation for JointFeatures {
     }
 
     fn channel_checks(&self, rows: &[f32]) -> Vec<Check> {
-        self.features(rows)
-            .map(|features| velocities(&features))
-            .into_iter()
-            .collect()
+        let Some(features) = self.features(rows) else {
+            return Vec::new();
+        };
+        vec![
+            velocities(&features),
+            rotations(&features),
+            contacts(&features, &self.skeleton),
+        ]
     }
 
     /// Root representations have equal channels; the one that fits joint 0's steps is accepted.
@@ -258,6 +269,43 @@ fn velocities(features: &Features) -> Check {
     );
     let allowed = Threshold::AtMost(VELOCITY_SHARE);
     Check::new("velocity_coherence", share, allowed, message)
+}
+
+/// The columns of the rotations have length 1.
+fn rotations(features: &Features) -> Check {
+    let frames = (0..features.frames()).map(|t| features.frame(t));
+    let columns = frames.flat_map(|frame| frame[features.layout().rotations()].as_chunks::<3>().0);
+    let deviations = columns.map(|column| (length(column.map(f64::from)) - 1.0).abs());
+    let deviations: Vec<f64> = deviations.collect();
+    let mean = moments::mean(deviations.into_iter());
+    let message = format!("mean deviation of the rotations' columns from length 1: {mean:.2}");
+    let allowed = Threshold::AtMost(MEAN_COLUMN_TOLERANCE);
+    Check::new("rotation_columns", mean, allowed, message)
+}
+
+/// The contacts are those of slow feet, as [`Extraction`] labels them.
+fn contacts(features: &Features, skeleton: &Skeleton) -> Check {
+    let joints = features.joints();
+    let feet = skeleton.contact_joints();
+    let threshold = Extraction::default().contact_threshold;
+    let agreeing = (1..joints.frames()).flat_map(|t| {
+        let stated = &features.frame(t - 1)[features.layout().contacts()];
+        let (here, next) = (joints.frame(t - 1), joints.frame(t));
+        let labels = stated.iter().zip(feet).map(|(label, joint)| {
+            let step = minus(next[joint], here[joint]);
+            f64::from(u8::from((*label > 0.5) == (dot(step, step) < threshold)))
+        });
+        labels.collect::<Vec<_>>()
+    });
+    let agreeing: Vec<f64> = agreeing.collect();
+    let share = moments::mean(agreeing.into_iter());
+    let message = format!("share of the contacts that agree with the feet's steps: {share:.2}");
+    Check::new(
+        "contacts",
+        share,
+        Threshold::AtLeast(AGREEING_CONTACTS),
+        message,
+    )
 }
 
 /// Files contain metres.

@@ -26,17 +26,20 @@ const PHRASES: [(&str, [f64; 2]); 14] = [
 /// The same of bodies: 1,267 clips of up to 10 s of actors and dancers that walk, run, dance, kick and
 /// gesture. The bounds of speed, turning and heights are those of livelier people: sprints,
 /// pirouettes, jumps, sitting and lying.
-const BODIES: [(&str, [f64; 2]); 12] = [
+const BODIES: [(&str, [f64; 2]); 15] = [
     ("fastest_root", [0.0, 5.0]),
     ("fastest_joint", [0.0, 11.0]),
     ("jerk_p99", [0.0, 2000.0]),
     ("largest_jerk", [0.0, 4000.0]),
     ("largest_turn", [0.0, 700.0]),
+    ("root_acceleration", [0.0, 30.0]),
+    ("turn_acceleration", [0.0, 8000.0]),
     ("still_share", [0.0, 0.3]),
     ("glide", [0.0, 3.2]),
     ("skating", [0.0, 0.7]),
     ("floor", [-0.01, 0.0]),
     ("floating", [0.0, 0.15]),
+    ("flight", [0.0, 0.6]),
     ("root_height", [0.35, 1.3]),
     ("leg_length", [0.5, 1.0]),
 ];

@@ -86,10 +86,11 @@ impl Figure {
         [0, 2].map(|axis| (self.low[axis] + self.high[axis]) / 2.0)
     }
 
-    /// True if a camera should follow the object.
+    /// True if a camera should follow the object. A path on the ground is seen as a whole.
     pub fn goes_far(&self) -> bool {
+        let is_flat = self.high[1] <= self.low[1];
         let extent = (self.high[0] - self.low[0]).max(self.high[2] - self.low[2]);
-        extent > DRAWING.stage.follow_beyond * self.height
+        !is_flat && extent > DRAWING.stage.follow_beyond * self.height
     }
 
     /// The measures that the viewer's script reads.
@@ -289,6 +290,19 @@ mod tests {
             row.copy_from_slice(&[0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.2, 1.5, 0.0, -0.2, 1.5, 0.0]);
         }
         assert_eq!(Figure::of(&held).root, 1);
+    }
+
+    #[test]
+    fn a_path_on_the_ground_is_not_followed() {
+        let mut far = dancer(200, 0.0);
+        for (frame, place) in far.positions.chunks_exact_mut(3).enumerate() {
+            place.copy_from_slice(&[0.1 * frame as f32, 1.0 + 0.01 * (frame % 2) as f32, 0.0]);
+        }
+        assert!(Figure::of(&far).goes_far());
+        far.positions
+            .chunks_exact_mut(3)
+            .for_each(|place| place[1] = 0.0);
+        assert!(!Figure::of(&far).goes_far());
     }
 
     #[test]

@@ -97,13 +97,19 @@ class Viewer {
     // The last frame is shown as long as any other, but the time ends at its start.
     this.clock = new Clock(seconds, data.song);
     this.sideBySide = figures.length > 1;
-    this.following = figures.some((figure) => this.extent(figure) > DRAWING.stage.follow_beyond * figure.height);
+    this.following = figures.some((figure) => this.goesFar(figure));
     this.build();
     this.painter = new Painter(this.canvas.getContext("2d", { alpha: false }), this.scene);
     this.recolour();
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.recolour());
     new ResizeObserver(() => this.resize()).observe(this.canvas);
     this.resize();
+  }
+
+  // True if the camera should follow a figure. A path on the ground is seen as a whole.
+  goesFar(figure) {
+    const isFlat = figure.high[1] <= figure.low[1];
+    return !isFlat && this.extent(figure) > DRAWING.stage.follow_beyond * figure.height;
   }
 
   extent({ low, high }) {

@@ -78,8 +78,7 @@ impl Composer {
     /// # Errors
     /// For an unknown text, an invalid setting, or a result that is not finite.
     ///
-    /// # Panics
-    /// Panics without a line, or for one without a frame.
+    /// # Panics Panics if `lines` is empty or a line has no frame.
     pub fn compose(
         &self,
         lines: &[TimedPrompt],

@@ -41,9 +41,9 @@ impl Starts {
         Ok(Some(Self { diffusion, decoder }))
     }
 
-    /// Defaults of the new config: the tables of networks and process. If the base model was
-    /// trained on the dataset of `config`, also its split and labels, so that the base's training
-    /// items are not held out.
+    /// Defaults of the new config: the tables of networks and process. The base model's split and
+    /// labels are added if it was trained on the dataset of `config`, so that none of its training
+    /// items is held out.
     pub fn tables_for(&self, config: &Config) -> Table {
         let mut tables = self.diffusion.tables(&OF_BASE);
         if let Some(decoder) = &self.decoder {

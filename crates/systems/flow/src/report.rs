@@ -36,7 +36,7 @@ impl RolloutReport {
     pub const SHORTEST: usize = 16;
 
     /// The report of motions with at least [`SHORTEST`](Self::SHORTEST) frames, compared with
-    /// `real` motions. Each motion has its initial [bone lengths](bone_lengths).
+    /// `real` motions. Pairs of initial [bone lengths](bone_lengths) and motion.
     pub fn compute(
         skeleton: &Skeleton,
         motions: &[(Vec<f64>, Joints)],

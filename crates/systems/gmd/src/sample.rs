@@ -176,13 +176,13 @@ impl<'a> Clips<'a> {
             .chain(self.trajectory.iter().map(TrainedModel::config));
         let inputs: Vec<_> = models.map(text_input).collect();
         let text = text_of(request, &inputs, &trained.device)?;
+        let fastest = Fastest::of_clips(&trained.saved.state.statistics, &skeleton);
         for (file, goal, _) in &goals {
-            for warning in goal.feasibility_warnings(fps) {
+            for warning in goal.feasibility_warnings(fps, fastest.speed()) {
                 sink.warning(&format!("{}: {warning}", file.display()));
             }
         }
         if let Some(path) = &self.path {
-            let fastest = Fastest::of_clips(&trained.saved.state.statistics, &skeleton);
             if let Some(warning) = path.too_fast(fps, fastest) {
                 sink.warning(&warning);
             }

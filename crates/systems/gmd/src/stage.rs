@@ -57,10 +57,11 @@ pub struct StageSteering<'a> {
     objective: GroundObjective<'a>,
     scale: f64,
     of_motion: bool,
-    /// True if single frames are targets: imputation until the end would make the motion jump.
-    of_points: bool,
     dense: KnownPositions,
     points: KnownPositions,
+    /// The targets of a motion model after [`Phase::Points`]; `None` without targets. Positions in
+    /// each frame alone: the motion would jump to single imputed frames.
+    last: Option<KnownPositions>,
 }
 
 /// Positions to impute in meters, and their mask, `[batch, channels, frames]`.
@@ -77,22 +78,33 @@ impl<'a> StageSteering<'a> {
         model: StageModel<'a>,
     ) -> Result<Self, Error> {
         let loss = GuidanceLoss::new(&config.guidance, goals, model.frames)?;
+        let has_detours =
+            |goal: &Goal| config.detours && goal.trajectory.is_none() && !goal.obstacles.is_empty();
         // Beyond the dense phase too: the model would take the straight line again.
         let known = |otherwise: fn(&Goal) -> GroundTargets| {
-            model.known(goals.iter().map(|goal| {
-                match config.detours && !goal.obstacles.is_empty() {
-                    true => goal.around_obstacles(),
-                    false => otherwise(goal),
-                }
+            model.known(goals.iter().map(|goal| match has_detours(goal) {
+                true => goal.around_obstacles(),
+                false => otherwise(goal),
             }))
         };
+        // A trajectory ends with the points unless `motion_until` says otherwise.
+        let in_each_frame = |goal: &Goal| {
+            let ends_later = config.schedule.motion_until.is_some() && goal.trajectory.is_some();
+            has_detours(goal) || ends_later
+        };
+        let last = goals.iter().any(in_each_frame).then(|| {
+            model.known(goals.iter().map(|goal| match in_each_frame(goal) {
+                true => goal.around_obstacles(),
+                false => GroundTargets::points(&[], goal.frames),
+            }))
+        });
         Ok(Self {
             config,
             scale: config.scale,
             of_motion: model.of_motion,
-            of_points: goals.iter().any(|goal| goal.trajectory.is_none()),
             dense: known(Goal::dense),
             points: known(Goal::points),
+            last,
             objective: GroundObjective {
                 space: model.space,
                 loss,
@@ -125,9 +137,9 @@ impl<'a> StageSteering<'a> {
                 false => 0.0,
             },
             of_motion: model.of_motion,
-            of_points: false,
             dense: known.clone(),
-            points: known,
+            points: known.clone(),
+            last: Some(known),
             objective: GroundObjective {
                 space: model.space,
                 loss,
@@ -139,16 +151,15 @@ impl<'a> StageSteering<'a> {
     pub fn at(&self, t: usize) -> Steering<'_> {
         let schedule = &self.config.schedule;
         let guided = self.scale > 0.0 && schedule.phase(t) != Phase::Off;
-        let imputed = match self.of_motion {
-            true if self.of_points && schedule.phase(t) == Phase::Off => Phase::Off,
-            true => schedule.phase_of_motion(t),
-            false => schedule.phase(t),
-        };
-        let known = match imputed {
+        let known = match schedule.phase(t) {
             _ if !self.config.imputation => None,
+            Phase::Off if self.of_motion && t >= schedule.motion_until.unwrap_or(0) => {
+                self.last.as_ref()
+            }
+            Phase::Off => None,
+            _ if self.of_motion && schedule.motion_until.is_some_and(|until| t < until) => None,
             Phase::Dense => Some(&self.dense),
             Phase::Points => Some(&self.points),
-            Phase::Off => None,
         };
         Steering {
             guidance: guided.then_some(Guidance {
@@ -226,6 +237,46 @@ mod tests {
         }];
         assert_eq!(known(&goal, true), [6.0, 6.0]);
         assert_eq!(known(&goal, false), [1.0, 1.0]);
+        // A motion model keeps to them to the end, and to single frames of another goal it does not.
+        let other = Goal {
+            obstacles: Vec::new(),
+            ..goal.clone()
+        };
+        let config = SteeringConfig::default();
+        let model = stage(&space, &device, true);
+        let goals = [goal, other];
+        let steering = StageSteering::of_goals(&config, &goals, model).unwrap();
+        let imputed = [20, 19, 0].map(|t| {
+            let mask = steering.at(t).imputation.expect("imputed").mask;
+            [0, 1].map(|i| mask.clone().slice([i..i + 1]).sum().into_scalar::<f32>() / 2.0)
+        });
+        assert_eq!(imputed, [[6.0, 1.0], [6.0, 0.0], [6.0, 0.0]]);
+    }
+
+    #[test]
+    fn imputation_into_a_motion_model_ends_at_motion_until() {
+        let device = Device::flex();
+        let space = FeatureSpace::new(&[0.0; 4], &[1.0; 4], None, &device);
+        let mut config = SteeringConfig::default();
+        let goals = [Goal {
+            trajectory: Some(Trajectory {
+                first_frame: 0,
+                points: vec![[0.0, 0.1]; 8],
+            }),
+            ..Goal::new(8)
+        }];
+        let mut imputed = |motion_until| {
+            config.schedule.motion_until = motion_until;
+            let model = stage(&space, &device, true);
+            let steering = StageSteering::of_goals(&config, &goals, model).unwrap();
+            [400, 399, 20, 19, 1, 0].map(|t| steering.at(t).imputation.is_some())
+        };
+        assert_eq!(imputed(None), [true, true, true, false, false, false]);
+        assert_eq!(imputed(Some(1)), [true, true, true, true, true, false]);
+        assert_eq!(
+            imputed(Some(400)),
+            [true, false, false, false, false, false]
+        );
     }
 
     #[test]

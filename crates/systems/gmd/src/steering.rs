@@ -34,14 +34,15 @@ pub struct SteeringConfig {
     /// in standard deviations of the step's noise: without a limit, small models diverge. Not in the
     /// paper; a large number such as 1e6 removes the limit.
     pub max_shift: f64,
-    /// Maximum number of samples of a clip with a goal. A sample is replaced by one of other noise if
-    /// its root moves faster than 1.5 times the fastest training step, is inside an obstacle, or
-    /// starts more than 0.5 m from the origin; the best is kept. 1 in the paper.
+    /// Maximum number of samples of a root path, or of a clip with a goal. A sample is replaced by one
+    /// of other noise if its root moves faster than 1.5 times the fastest training step, is inside an
+    /// obstacle, or starts more than 0.5 m from the origin; the best is kept. 1 in the paper.
     pub attempts: usize,
     /// Impute known positions.
     pub imputation: bool,
     /// Among obstacles, impute the shortest lines between keyframes that go around them, until
-    /// `schedule.points_until`. The paper imputes the keyframes alone.
+    /// `schedule.points_until`, and without a trajectory model until `schedule.motion_until`. The
+    /// paper imputes the keyframes alone.
     pub detours: bool,
     /// Guide the second stage along the first stage's path, in addition to imputation. The
     /// published demonstration guides the second stage; the published evaluation does not.

@@ -281,8 +281,8 @@ impl Default for ValidationConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ClipSample {
-    /// Each channel to its range in the training data. Unavailable with an emphasis projection or
-    /// with statistics that came with the dataset.
+    /// Clips each channel to its range in the training data. Unavailable with an emphasis
+    /// projection or with statistics that came with the dataset.
     #[default]
     TrainingRange,
     /// CC-MotionGen's -1 to 1, in normalized units. Real motion reaches 21 standard deviations in

@@ -64,13 +64,18 @@ impl GroundRecord {
         if is_finite { excess } else { f64::INFINITY }
     }
 
+    /// True if the root moves faster than [`FAR`](Self::FAR) allows.
+    pub fn is_far(&self) -> bool {
+        self.speed() > Self::FAR
+    }
+
     /// The warning about a path out of bounds; `name` is that of its sample.
     pub fn warning(&self, name: &str) -> Option<String> {
         let mut faults = Vec::new();
         if let Some(step) = self.fastest_step
             && self.speed() > Self::MOST
         {
-            let verdict = match self.speed() > Self::FAR {
+            let verdict = match self.is_far() {
                 true => ": this motion is not usable",
                 false => "",
             };

@@ -4,11 +4,14 @@ use kinegrad_data::humanml::Clip;
 use kinegrad_motion::path::PathReport;
 
 use super::{
-    BodyRecord, Condition, Generated, Names, Record, Request, Sample, SampleSink, Summary,
-    item_seed,
+    BodyRecord, Condition, Generated, Names, PathRecord, Record, Request, Sample, SampleSink,
+    Summary, item_seed,
 };
 use crate::TrainedModel;
 use crate::error::Error;
+
+/// Share of its path that a motion travels at least, without a warning.
+const LEAST_PROGRESS: f64 = 0.7;
 
 /// Samples of one condition.
 #[derive(Clone, Debug)]
@@ -147,8 +150,17 @@ impl Run<'_> {
         generated: Generated,
         mut record: Record,
     ) -> Result<(), Error> {
-        let path = record.path.as_ref();
-        self.paths.extend(path.map(|path| deviation(&path.report)));
+        let title = self.title(job, index);
+        if let Some(PathRecord { report, .. }) = &record.path {
+            self.paths.push(deviation(report));
+            if report.travelled < LEAST_PROGRESS * report.asked {
+                self.sink.warning(&format!(
+                    "{title} travels {:.2} of {:.2} m along the path: give it more time, or see \
+                     docs/paths.md for another `method`",
+                    report.travelled, report.asked
+                ));
+            }
+        }
         if let Generated::Clip {
             joints, skeleton, ..
         } = &generated
@@ -156,7 +168,7 @@ impl Run<'_> {
             let statistics = &self.trained.saved.state.statistics;
             record.body = Some(BodyRecord::of(joints, skeleton, statistics));
         }
-        let (body, title) = (record.body.clone(), self.title(job, index));
+        let body = record.body.clone();
         self.sink.sample(Sample {
             name: self.name(job, index),
             files: generated.files(),

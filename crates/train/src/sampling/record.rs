@@ -203,4 +203,10 @@ impl Record {
             batch: None,
         }
     }
+
+    /// False if the body or the root's path is far out of the bounds of the training motion.
+    pub fn is_usable(&self) -> bool {
+        let body = self.body.as_ref().is_some_and(|body| body.far);
+        !body && !self.ground.as_ref().is_some_and(GroundRecord::is_far)
+    }
 }

@@ -67,8 +67,8 @@ struct PartRecord {
 }
 
 impl Record {
-    /// The record of `made`.
-    pub fn new(arguments: &MatchArguments, made: &Made) -> Self {
+    /// The record of `made`, of examples in units of so many metres.
+    pub fn new(arguments: &MatchArguments, made: &Made, metres_per_unit: f64) -> Self {
         let joints = made.layout.joints();
         let as_array = |run: &Run| [run.start, run.example, run.first, run.frames];
         let example_frames = made.examples.iter().map(|example| example.frames());
@@ -98,10 +98,12 @@ impl Record {
             parts: parts.collect(),
             keyframes: arguments.keyframes.clone(),
             fixed: fixed.collect(),
-            sliding: made.sliding,
+            sliding: made
+                .sliding
+                .map(|sliding| sliding.in_metres(metres_per_unit)),
             jerk: made.jerk,
             seam: made.seam(made.settings.looping),
-            quality: made.quality.clone(),
+            quality: made.quality.clone().in_metres(metres_per_unit),
             measures: made.measures(&[]),
         }
     }
@@ -139,7 +141,7 @@ impl Record {
         }
         if let Some(sliding) = &self.sliding {
             tell!(
-                "locked feet in contact: {:.2} units a second before, {:.2} after",
+                "locked feet in contact: {:.3} m/s before, {:.3} after",
                 sliding.before,
                 sliding.after
             );
@@ -171,9 +173,8 @@ impl Record {
         let (motion, examples) = (&self.quality.motion, &self.quality.examples);
         let toe = |speed: Option<f64>| speed.map_or("-".to_string(), |toe| format!("{toe:.3}"));
         tell!(
-            "motion (examples), in units and seconds: toe speed while low {} ({}), jerk {:.0} ({:.0}), \
-             fastest joint {:.2} ({:.2}), still {:.0} % ({:.0} %), largest turn in a frame {:.0} degrees \
-             ({:.0})",
+            "motion (examples): toe speed while low {} ({}) m/s, jerk {:.0} ({:.0}) m/s^3, fastest joint \
+             {:.2} ({:.2}) m/s, still {:.0} % ({:.0} %), largest turn in a frame {:.0} degrees ({:.0})",
             toe(motion.toe_speed_while_low),
             toe(examples.toe_speed_while_low),
             motion.jerk,

@@ -12,6 +12,13 @@ const SPEED: &str = "steps_per_second";
 /// Order of the first scalars.
 const ORDER: [&str; 5] = ["loss", "val_loss", "lr", "grad_norm", SPEED];
 
+/// Titles and prefixes of scalars that are parts of another one. A single part equals the whole.
+const PARTS: [(&str, &str); 3] = [
+    ("terms of the loss", "loss_"),
+    ("terms of the validation loss", "val_loss_"),
+    ("learning rates", "lr_"),
+];
+
 /// The metrics of a run, by its name.
 pub type Metrics<'a> = (&'a str, &'a [Record]);
 
@@ -48,12 +55,15 @@ pub fn charts(runs: &[Metrics<'_>]) -> Vec<Panel> {
     };
     if runs.len() == 1 {
         take("loss", "", 0, &|name| ["loss", "val_loss"].contains(&name));
-        for (title, prefix) in [
-            ("terms of the loss", "loss_"),
-            ("terms of the validation loss", "val_loss_"),
-            ("learning rates", "lr_"),
-        ] {
+        for (title, prefix) in PARTS {
             take(title, prefix, 2, &|name| name.starts_with(prefix));
+        }
+    } else {
+        for (_, prefix) in PARTS {
+            let is_part = |name: &&str| name.starts_with(prefix);
+            if names.iter().filter(|name| is_part(name)).count() == 1 {
+                names.retain(|name| !is_part(name));
+            }
         }
     }
     let titles = [
@@ -138,7 +148,8 @@ mod tests {
         let [one, two] = [[record(2.0)], [record(1.0).with("lr", 0.1)]];
         let charts = charts(&[("one", &one), ("two", &two)]);
         let titles: Vec<&str> = charts.iter().map(Panel::title).collect();
-        assert_eq!(titles, ["loss", "learning rate", "loss_position"]);
+        // A single term is the loss itself.
+        assert_eq!(titles, ["loss", "learning rate"]);
         let curve = |name: &str, points: &[(f64, f64)]| (name.to_string(), points.to_vec());
         let expected = [curve("one", &[(1.0, 2.0)]), curve("two", &[(1.0, 1.0)])];
         assert_eq!(charts[0].series(), expected);

@@ -1,4 +1,4 @@
-//! Sampling clips with goals again whose root path is out of bounds.
+//! Sampling root paths, and clips with goals, again that are out of bounds.
 
 use kinegrad_motion::Statistics;
 use kinegrad_motion::goal::Goal;
@@ -10,6 +10,7 @@ use kinegrad_train::sampling::GroundRecord;
 use kinegrad_train::{Error, TrainedModel};
 
 use super::{ClipGenerator, ClipRequest, GeneratedClip, NoiseKey};
+use crate::recipe_name::RecipeName;
 
 /// The training motion that root paths are compared with.
 #[derive(Clone, Copy, Debug)]
@@ -49,9 +50,9 @@ impl ClipGenerator {
     /// frames. A clip with a goal also depends on its batch's number of keyframes, the divisor of
     /// the published guidance. `on_step` gets the stage, `trajectory` or `motion`.
     ///
-    /// Clips with goals whose root path is out of [bounds](GroundRecord::excess) are sampled again
-    /// from other noise, in batches of their own, at most `steering.attempts` times in all. The
-    /// best is returned.
+    /// Root paths, and clips with goals, that are out of [bounds](GroundRecord::excess) are sampled
+    /// again from other noise, in batches of their own, at most `steering.attempts` times in all.
+    /// The best is returned.
     ///
     /// Samples have at least the training length and are cut to the requested length: shorter noise
     /// would give the network more padding than in training (docs/sources.md, section 4.13).
@@ -68,9 +69,13 @@ impl ClipGenerator {
     ) -> Result<Vec<GeneratedClip>, Error> {
         let skeleton = self.config().data.humanml3d.skeleton.skeleton();
         let bounds = GroundBounds::new(&self.state.statistics, &skeleton);
+        let is_path = RecipeName::of(self.config()) == RecipeName::Trajectory;
         let excess = |index: usize, clip: &GeneratedClip| {
             let goal = requests[index].goal.as_ref();
-            goal.map_or(0.0, |goal| bounds.measured(clip, Some(goal)).excess())
+            match is_path || goal.is_some() {
+                true => bounds.measured(clip, goal).excess(),
+                false => 0.0,
+            }
         };
         let mut clips = self.sample_once(trajectory, requests, sampling, keys, on_step)?;
         for attempt in 1..self.steering.attempts {
