@@ -121,6 +121,11 @@ fn weights_that_do_not_fit_are_refused_with_all_differences() {
     import("checkpoint_tiny.pt", "gmd_trajectory", "").failed(2, &["--mean"]);
     import("checkpoint_tiny.pt", "gmd_motion", statistics).failed(2, &["4 channels", "263"]);
     import("goal.toml", "gmd_trajectory", statistics).failed(2, &["goal.toml"]);
+    for frames in ["9223372036854775808", "18446744073709551615", "0", "3"] {
+        let padded = format!("{statistics} --padded-frames {frames}");
+        import("checkpoint_tiny.pt", "gmd_trajectory", &padded)
+            .failed(2, &["`model.padded_frames`", frames]);
+    }
     // A tensor of 4 GiB that repeats one number.
     import("checkpoint_expanded.pt", "gmd_trajectory", statistics)
         .failed(2, &["its tensors need more than its"]);

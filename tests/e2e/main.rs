@@ -20,6 +20,8 @@ mod eval;
 mod fine_tuning;
 mod flow;
 mod goals;
+mod hostile_names;
+mod hostile_runs;
 mod imports;
 mod matching;
 mod movement;

@@ -419,7 +419,7 @@ fn every_representation_is_plotted() {
          [[obstacle]]\nkind = \"polygon\"\nvertices = [[0.0, 4.0], [1.0, 4.0], [1.0, 5.0]]\n",
     );
     let plot = |arguments: &str| {
-        let plot = format!("plot {arguments} --out p.svg");
+        let plot = format!("plot {arguments} --out p.svg --overwrite");
         sandbox.run(&plot).succeeded();
         fs::read_to_string(sandbox.path("p.svg")).expect("a picture")
     };
@@ -494,7 +494,7 @@ fn runs_are_plotted_and_reported_together() {
 fn joints_of_any_skeleton_and_captures_are_plotted_and_not_checked() {
     let sandbox = sandbox();
     let plot = |arguments: &str| {
-        let plot = format!("plot {arguments} --out p.svg");
+        let plot = format!("plot {arguments} --out p.svg --overwrite");
         let said = sandbox.run(&plot).succeeded().stderr;
         let picture = fs::read_to_string(sandbox.path("p.svg")).expect("a picture");
         (picture, said)

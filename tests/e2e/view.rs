@@ -114,8 +114,10 @@ fn ctrl_c_ends_a_film_and_leaves_nothing_behind() {
         let mut viewing = command.spawn().expect("the binary starts");
         match begun {
             true => wait_for(&mut viewing, "half a film", || {
-                let names = sandbox.list(".");
-                names.iter().any(|name| name.contains("film.tmp"))
+                let names = sandbox.list(".").into_iter();
+                let mut unfinished = names.filter(|name| name.starts_with(".writing-"));
+                unfinished
+                    .any(|name| fs::read(sandbox.path(name)).is_ok_and(|film| film == b"half\n"))
             }),
             false => std::thread::sleep(std::time::Duration::from_millis(1500)),
         }
@@ -130,7 +132,8 @@ fn ctrl_c_ends_a_film_and_leaves_nothing_behind() {
             "{option}"
         );
         let left = sandbox.list(".");
-        assert!(!left.iter().any(|name| name.contains("film")), "{left:?}");
+        let is_left = |name: &String| name.contains("film") || name.starts_with(".writing-");
+        assert!(!left.iter().any(is_left), "{left:?}");
     }
 }
 

@@ -52,6 +52,19 @@ def phrase(kinegrad, tmp_path_factory):
     return motion, folder / "page.html"
 
 
+def test_a_goal_of_many_points_is_shown(phrase, show):
+    page = show(phrase[1])
+    x = page.evaluate(
+        f"""() => {{
+          const viewer = {FIRST};
+          viewer.following = false;
+          viewer.scene.floor.path = Array.from({{ length: 200000 }}, (_, i) => [i / 1000, 0]);
+          return viewer.framing({{ figures: [0], ground: 0, width: 100, height: 100 }}).x;
+        }}"""
+    )
+    assert 90 < x < 110
+
+
 def test_a_phrase_moves_as_in_its_file_and_in_step_with_its_song(phrase, show):
     motion, path = phrase
     (frames, channels), values = read_npy(motion)

@@ -1,6 +1,6 @@
 //! Folders of output files.
 
-use std::fs::{self, File};
+use std::fs;
 use std::path::Path;
 
 use kinegrad_train::Error;
@@ -31,9 +31,7 @@ pub fn must_be_writable(file: &Path) -> Result<(), Error> {
         let message = format!("{} is a folder", file.display());
         return Err(Error::usage(message, "name a file"));
     }
-    let tried = file.with_added_extension(format!("{}.try.tmp", std::process::id()));
-    let made = File::create(&tried).and_then(|_| fs::remove_file(&tried));
-    made.map_err(|error| {
+    kinegrad_output::must_be_writable(file).map_err(|error| {
         Error::usage(
             format!("cannot write {}: {error}", file.display()),
             "give a file in a folder that can be written, as with `--out`",

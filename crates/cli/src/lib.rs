@@ -33,6 +33,7 @@ mod progress;
 mod ranks;
 mod runs;
 mod scene;
+mod threads;
 mod train_progress;
 
 pub use commands::sample::{checkpoint, while_it_is_trained};
@@ -41,10 +42,12 @@ pub use conditions::ConditionArguments;
 pub use io::{Files, bvh_text, must_be_finite};
 pub use options::as_arguments;
 pub use output::unusable;
+pub use threads::bound as bound_threads;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
 
+use kinegrad_output::{MOST, block};
 use kinegrad_train::{Error, Systems};
 
 use args::{Arguments, AudioCommand, Command, ConfigCommand, DataCommand, TextCommand};
@@ -55,6 +58,7 @@ pub fn run(
     arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>,
 ) -> ExitCode {
     kinegrad_kernels::memory::keep_freed();
+    threads::bound();
     let done = match Arguments::read(arguments) {
         Ok(arguments) => {
             log::start(arguments.verbosity);
@@ -68,11 +72,14 @@ pub fn run(
 /// The error of an invalid command line. A single process prints the error and exits here, as after
 /// `--help`; one of several processes prints the returned error.
 fn unread(error: clap::Error) -> Error {
-    if !error.use_stderr() || !ranks::are_several() {
+    let text = error.render().to_string();
+    // An argument may contain control characters, or many others.
+    let is_plain = !error.use_stderr() || (block(&text) == text && text.len() < MOST);
+    if is_plain && !ranks::are_several() {
         error.exit();
     }
-    let text = error.render().to_string();
-    let message = text.trim_start_matches("error: ").trim_end();
+    let message = text.trim_start_matches("error: ").split("\n\n").next();
+    let message = message.unwrap_or_default().trim_end();
     Error::usage(message, "`kinegrad help` lists commands and options")
 }
 

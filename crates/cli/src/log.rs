@@ -2,6 +2,8 @@
 
 use std::io::Write as _;
 
+use kinegrad_output::message;
+
 use crate::args::VerbosityArgs;
 use crate::output;
 
@@ -27,7 +29,7 @@ pub fn start(verbosity: VerbosityArgs) {
     let _ = env_logger::Builder::from_env(environment)
         .format(|out, record| {
             let level = record.level().as_str().to_lowercase();
-            writeln!(out, "{level}: {}", record.args())
+            writeln!(out, "{level}: {}", message(&record.args().to_string()))
         })
         .try_init();
 }

@@ -5,6 +5,7 @@ use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use kinegrad_output::{block, line, message};
 use kinegrad_report::{Panel, grouped};
 use kinegrad_train::{Error, ParameterCount};
 use miette::Diagnostic;
@@ -14,18 +15,33 @@ use crate::folder;
 use crate::options::as_flags;
 
 /// Prints a line of results to standard output. Unlike `println!`, the macro does not panic on a
-/// closed pipe, as in `kinegrad ... | head`.
+/// closed pipe, as in `kinegrad ... | head`. Control characters are escaped.
 macro_rules! say {
     ($($text:tt)*) => { $crate::output::result(format_args!($($text)*)) };
 }
 
-/// Prints a line of progress to standard error; a failure to write is ignored.
+/// [`say!`] for text of several lines, such as a table.
+macro_rules! show {
+    ($($text:tt)*) => { $crate::output::lines(format_args!($($text)*)) };
+}
+
+/// Prints a line of progress to standard error; a failure to write is ignored. Control characters
+/// are escaped.
 macro_rules! tell {
     ($($text:tt)*) => { $crate::output::remark(format_args!($($text)*)) };
 }
 
 /// See [`say!`]. If a result cannot be written, the program ends with exit code 1.
 pub fn result(text: fmt::Arguments<'_>) {
+    print(&line(&text.to_string()));
+}
+
+/// See [`show!`].
+pub fn lines(text: fmt::Arguments<'_>) {
+    print(&block(&text.to_string()));
+}
+
+fn print(text: &str) {
     if let Err(error) = writeln!(io::stdout(), "{text}")
         && error.kind() != ErrorKind::BrokenPipe
     {
@@ -71,7 +87,7 @@ pub fn remark(text: fmt::Arguments<'_>) {
 }
 
 fn always(text: fmt::Arguments<'_>) {
-    let text = as_flags(&text.to_string());
+    let text = message(&as_flags(&text.to_string()));
     let _ = writeln!(io::stderr(), "{text}");
 }
 
@@ -123,7 +139,7 @@ pub fn parameters(count: &ParameterCount) -> String {
 
 /// Prints results as JSON.
 pub fn json(results: &impl Serialize) {
-    say!("{}", serde_json::to_string(results).expect("plain data"));
+    show!("{}", serde_json::to_string(results).expect("plain data"));
 }
 
 /// Prints an error with its hint.

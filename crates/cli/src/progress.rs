@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
+use kinegrad_output::cell;
 use kinegrad_report::grouped;
 use kinegrad_train::Reading;
 
@@ -119,7 +120,7 @@ impl Denoising {
 /// A word and two spaces, or nothing.
 fn spaced(word: &str) -> String {
     let end = if word.is_empty() { "" } else { "  " };
-    format!("{word}{end}")
+    format!("{}{end}", cell(word))
 }
 
 /// A bar on standard error, hidden if standard error is not a terminal. `{times}` in the template

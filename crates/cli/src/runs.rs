@@ -6,6 +6,7 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
+use kinegrad_data::file::{is_inside, regular};
 use kinegrad_train::checkpoint::{Best, Checkpoints, State};
 use kinegrad_train::run::{PREVIEWS, SAMPLES, is_in_use};
 use kinegrad_train::{Config, Error, Systems};
@@ -156,11 +157,19 @@ impl Run {
     }
 }
 
-/// The config beside the checkpoints, if the file exists.
+/// The config beside the checkpoints, if the file exists; an error if it lies elsewhere.
 fn saved_config(systems: Systems<'_>, folder: &Path) -> Result<Option<Config>, Error> {
     let path = folder.join("config.toml");
-    let config = path.exists().then(|| systems.load(&path, &[]));
-    Ok(config.transpose()?)
+    if !path.exists() {
+        return Ok(None);
+    }
+    if !is_inside(folder, &path).map_err(Error::io("read", &path))? {
+        return Err(Error::usage(
+            format!("{} is a link that leads out of the run", path.display()),
+            "put the file itself into the run's folder",
+        ));
+    }
+    Ok(Some(systems.load(&path, &[])?))
 }
 
 /// The newest complete checkpoint with its state, and the problems of damaged checkpoints, newest
@@ -222,8 +231,9 @@ fn ended(state: &State, config: &Config) -> RunStatus {
 
 /// The step of the last complete line of the metrics.
 fn last_step(path: &Path) -> Option<u64> {
+    // Opening a pipe would wait.
+    let length = regular(path).ok()?;
     let mut file = File::open(path).ok()?;
-    let length = file.metadata().ok()?.len();
     let start = SeekFrom::Start(length.saturating_sub(TAIL));
     file.seek(start).ok()?;
     let mut tail = Vec::new();

@@ -50,17 +50,9 @@ pub fn read_text(path: &Path) -> io::Result<String> {
     String::from_utf8(bytes).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))
 }
 
-/// Opens or creates the file at `path` for locking. Fails if the file cannot be created or is a
-/// folder, pipe or device.
-pub fn lock_file(path: &Path) -> io::Result<File> {
-    match regular(path) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-        _ => File::options()
-            .create(true)
-            .truncate(false)
-            .write(true)
-            .open(path),
-    }
+/// True if `path` lies in the folder `root` after links are followed. Fails if either is missing.
+pub fn is_inside(root: &Path, path: &Path) -> io::Result<bool> {
+    Ok(path.canonicalize()?.starts_with(root.canonicalize()?))
 }
 
 /// The length of the file at `path`. Fails for a missing file, a folder, a pipe or a device.

@@ -66,7 +66,7 @@ mod time_stretch;
 pub use kinegrad_motion::MAX_FRAMES;
 pub use kinegrad_ranks::Alone;
 
-pub use atomic::{is_unfinished, write as write_whole};
+pub use atomic::write as write_whole;
 pub use audio_layout::{AUDIO_CHANNELS, AudioGroup, AudioLayout, check_groups};
 pub use batch::{AUDIO, Batch, CAPTIONS, Condition, ConditionRows, SampleShape, TEXT, WORDS};
 pub use beat_agreement::{BeatAgreement, CHANCE, tracked_error};

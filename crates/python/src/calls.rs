@@ -3,11 +3,10 @@
 use std::ops::ControlFlow;
 use std::thread;
 
-use kinegrad_cli::as_arguments;
 use kinegrad_train::{Error, Reading};
 use pyo3::prelude::*;
 
-use crate::errors::exception;
+use crate::errors::{exception, shown};
 use crate::threads;
 
 /// Runs `work` without the interpreter's lock.
@@ -57,7 +56,7 @@ impl Progress {
     pub fn warn(&mut self, text: &str) -> ControlFlow<()> {
         self.notify(|py, _| {
             py.import("warnings")?
-                .call_method1("warn", (as_arguments(text),))?;
+                .call_method1("warn", (shown(text),))?;
             Ok(())
         })
     }

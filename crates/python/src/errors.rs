@@ -1,6 +1,7 @@
 //! The errors of the crates as the exceptions of `kinegrad.errors`.
 
 use kinegrad_cli::as_arguments;
+use kinegrad_output::message;
 use kinegrad_train::Error;
 use miette::Diagnostic;
 use pyo3::exceptions::PyKeyboardInterrupt;
@@ -13,15 +14,20 @@ pub fn exception(py: Python<'_>, error: &Error) -> PyErr {
     if matches!(error, Error::Interrupted) {
         return PyKeyboardInterrupt::new_err(());
     }
-    let hint = error.help().map(|hint| as_arguments(&hint.to_string()));
+    let hint = error.help().map(|hint| shown(&hint.to_string()));
     let made = py
         .import("kinegrad.errors")
         .and_then(|errors| errors.getattr(class(error)))
-        .and_then(|class| class.call1((as_arguments(&error.to_string()), hint, error.exit_code())));
+        .and_then(|class| class.call1((shown(&error.to_string()), hint, error.exit_code())));
     match made {
         Ok(exception) => PyErr::from_value(exception),
         Err(failed) => failed,
     }
+}
+
+/// A message of the libraries for Python's terminal.
+pub fn shown(text: &str) -> String {
+    message(&as_arguments(text))
 }
 
 /// The name of the error's class in `kinegrad.errors`.

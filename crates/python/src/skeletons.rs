@@ -55,11 +55,7 @@ pub fn write_bvh(
         let joints = joints(&shape, &values)?;
         let skeleton = skeleton_of(&joints)?;
         let bvh = Bvh::from_joints(&joints, &skeleton, units_per_metre).map_err(unusable)?;
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let temporary = path.with_file_name(format!(".writing-{name}"));
-        std::fs::write(&temporary, bvh.to_text())
-            .and_then(|()| std::fs::rename(&temporary, &path))
-            .map_err(Error::io("write", &path))
+        kinegrad_output::write(&path, bvh.to_text().as_bytes()).map_err(Error::io("write", &path))
     })
 }
 

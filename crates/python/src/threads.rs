@@ -12,8 +12,9 @@ static IMPORTED_BY: OnceLock<u32> = OnceLock::new();
 /// The threads of a fork, and its process.
 static OF_FORK: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
 
-/// Stores this process as the process that imported the module.
+/// Stores this process as the process that imported the module, and limits its threads.
 pub fn remember_process() {
+    kinegrad_cli::bound_threads();
     let _ = IMPORTED_BY.set(process::id());
 }
 

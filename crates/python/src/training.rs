@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use kinegrad_cli::as_arguments;
 use kinegrad_systems::BUILT_IN;
 use kinegrad_train::run::{self, Target, TrainRequest};
 use kinegrad_train::{Ending, Observer, Reading, RunSummary, StepReport};
@@ -77,11 +76,11 @@ impl Observer for Events {
     }
 
     fn note(&mut self, text: &str) {
-        self.notify("note", |fields| fields.set_item("text", as_arguments(text)));
+        self.notify("note", |fields| fields.set_item("text", shown(text)));
     }
 
     fn warning(&mut self, text: &str) {
-        let text = as_arguments(text);
+        let text = shown(text);
         self.notify("warning", |fields| fields.set_item("text", &text));
     }
 

@@ -1,5 +1,9 @@
 //! Columns of named values side by side.
 
+use std::borrow::Cow;
+
+use kinegrad_output::is_formula;
+
 use crate::table::rows_within;
 
 /// Placeholder of a missing value in tables.
@@ -46,16 +50,26 @@ pub fn columns_table(columns: &[Column<'_>], width: Option<usize>) -> String {
 /// values. A missing value is an empty field.
 pub fn columns_csv(heads: [&str; 2], columns: &[Column<'_>]) -> String {
     let mut csv = csv::Writer::from_writer(Vec::new());
+    let mut write = |fields: &mut dyn Iterator<Item = &str>| {
+        let written = csv.write_record(fields.map(|field| plain(field).into_owned()));
+        written.expect("written to memory");
+    };
     let labels = columns.iter().map(|column| column.label.as_str());
-    let written = csv.write_record(heads.into_iter().chain(labels));
-    written.expect("written to memory");
+    write(&mut heads.into_iter().chain(labels));
     for line in lines(columns) {
         let fields = line.values.iter().map(|value| value.unwrap_or_default());
-        let written = csv.write_record([line.heading, line.name].into_iter().chain(fields));
-        written.expect("written to memory");
+        write(&mut [line.heading, line.name].into_iter().chain(fields));
     }
     let bytes = csv.into_inner().expect("written to memory");
     String::from_utf8(bytes).expect("text")
+}
+
+/// The field with an apostrophe before text that a spreadsheet would read as a formula.
+fn plain(field: &str) -> Cow<'_, str> {
+    match is_formula(field) {
+        true => Cow::Owned(format!("'{field}")),
+        false => Cow::Borrowed(field),
+    }
 }
 
 /// The lines of all sections; each name occurs once, in order of first appearance.
@@ -127,6 +141,20 @@ mod tests {
         assert_eq!(
             columns_csv(["samples", "measure"], &columns()),
             "samples,measure,one,real\n,step,7,\nRAW,b,1,3\nRAW,a,,\nRAW,c,,4\n"
+        );
+    }
+
+    #[test]
+    fn names_are_no_formulas_in_csv() {
+        let mut columns = columns();
+        columns[0].label = "=cmd|'/C calc'!A0".into();
+        columns[1].sections[0].1[0] = ("@step", Some("-1.5e-3".into()));
+        columns[1].sections[1].1[0] = ("b", Some("+b".into()));
+        let csv = columns_csv(["samples", "measure"], &columns);
+        assert_eq!(
+            csv,
+            "samples,measure,'=cmd|'/C calc'!A0,real\n,step,7,\n,'@step,,-1.5e-3\nRAW,b,1,'+b\nRAW,a,,\n\
+             RAW,c,,4\n"
         );
     }
 }

@@ -1,6 +1,5 @@
 //! Errors and atomic writing of exported files.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use miette::Diagnostic;
@@ -132,17 +131,7 @@ pub fn check(scene: &Scene, out: &Path) -> Result<(), ExportError> {
     Ok(())
 }
 
-/// A temporary name beside `out`.
-pub(crate) fn temporary(out: &Path, what: &str) -> PathBuf {
-    out.with_added_extension(format!("{}.{what}.tmp", std::process::id()))
-}
-
 /// Writes a file atomically.
 pub(crate) fn write(out: &Path, bytes: &[u8]) -> Result<(), ExportError> {
-    let part = temporary(out, "part");
-    let written = fs::write(&part, bytes).and_then(|()| fs::rename(&part, out));
-    written.map_err(|reason| {
-        let _ = fs::remove_file(&part);
-        ExportError::write(out)(reason)
-    })
+    kinegrad_output::write(out, bytes).map_err(ExportError::write(out))
 }

@@ -1,11 +1,12 @@
 //! MP4 videos with the song, through `ffmpeg`.
 
 use std::ffi::{OsStr, OsString};
-use std::fs;
 use std::io::{Read, Write};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::thread;
+
+use kinegrad_output::Unfinished;
 
 use crate::export::{self, ExportError, Stop};
 use crate::raster::Painter;
@@ -52,21 +53,15 @@ fn no_encoder(out: &Path, program: &OsStr, reason: &std::io::Error) -> ExportErr
 /// [`write`] through another program with the same arguments.
 fn write_by(program: &OsStr, scene: &Scene, out: &Path, stop: Stop<'_>) -> Result<(), ExportError> {
     export::check(scene, out)?;
-    let [film, music] = ["film", "song"].map(|what| export::temporary(out, what));
-    if let Some(song) = &scene.song {
-        fs::write(&music, &song.bytes).map_err(|reason| {
-            let _ = fs::remove_file(&music);
-            ExportError::write(out)(reason)
-        })?;
-    }
-    let song = scene.song.as_ref().map(|song| (song, music.as_path()));
-    let encoded = encode(program, scene, song, &film, out, stop);
-    let _ = fs::remove_file(&music);
-    let written = encoded.and_then(|()| fs::rename(&film, out).map_err(ExportError::write(out)));
-    if written.is_err() {
-        let _ = fs::remove_file(&film);
-    }
-    written
+    let film = Unfinished::new(out).map_err(ExportError::write(out))?;
+    let music = scene.song.as_ref().map(|song| {
+        let file = Unfinished::with(out, &song.bytes).map_err(ExportError::write(out))?;
+        Ok::<_, ExportError>((song, file))
+    });
+    let music = music.transpose()?;
+    let song = music.as_ref().map(|(song, file)| (*song, file.path()));
+    encode(program, scene, song, film.path(), out, stop)?;
+    film.finish().map_err(ExportError::write(out))
 }
 
 fn encode(
@@ -101,7 +96,7 @@ fn encode(
     }
     let status = match status {
         // A program that closes its input early reports the reason on exit.
-        Ok(status) if status.success() && taken && film.exists() => return Ok(()),
+        Ok(status) if status.success() && taken && is_written(film) => return Ok(()),
         Ok(status) => status.to_string(),
         Err(reason) => reason.to_string(),
     };
@@ -110,6 +105,10 @@ fn encode(
         status,
         last_lines: last_lines(&messages),
     })
+}
+
+fn is_written(film: &Path) -> bool {
+    std::fs::metadata(film).is_ok_and(|film| film.len() > 0)
 }
 
 /// Feeds the pictures; returns exit status, messages, and true if all pictures were taken.
@@ -157,7 +156,9 @@ fn arguments(
          -framerate {FPS} -i pipe:0"
     ));
     if let Some((song, path)) = song {
-        all.extend(words(&format!("-ss {:.6} -i", song.start.max(0.0))));
+        // Without a format, ffmpeg would also read a song as a list of other files.
+        let (start, demuxer) = (song.start.max(0.0), song.format.demuxer());
+        all.extend(words(&format!("-ss {start:.6} -f {demuxer} -i")));
         all.push(file(path));
         all.extend(words("-map 0:v:0 -map 1:a:0 -af apad -c:a aac -b:a 160k"));
     }
@@ -181,10 +182,12 @@ fn last_lines(messages: &str) -> String {
 
 #[cfg(all(test, unix))]
 mod tests {
+    use std::fs;
     use std::os::unix::fs::PermissionsExt;
     use std::path::PathBuf;
 
     use super::*;
+    use crate::scene::SongFormat;
     use crate::scene::tests::{body, dancer};
 
     /// A program that replaces ffmpeg.
@@ -199,7 +202,7 @@ mod tests {
         Scene {
             objects: vec![body(20)],
             song: song.then(|| Song {
-                media_type: "audio/mpeg",
+                format: SongFormat::Mp3,
                 bytes: b"a song".to_vec(),
                 start: 12.5,
                 beats: vec![],
@@ -221,15 +224,18 @@ mod tests {
     fn the_encoder_gets_all_pictures_and_the_song() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("dance.mp4");
-        // Writes its other arguments, the song and the size of the pictures to its last argument.
-        let script = "for last; do :; done\nout=${last#file:}\n\
-                      { echo \"$@\"; cat \"${out%film.tmp}song.tmp\"; echo; wc -c; } > \"$out\"";
+        // Writes its arguments, the song and the size of the pictures to its last argument.
+        let script = "for last; do\ncase $last in file:*) song=${other#file:}; other=$last;; esac\n\
+                      done\n{ echo \"$@\"; [ -z \"$song\" ] || cat \"$song\"; echo; wc -c; } \
+                      > \"${last#file:}\"";
         let program = stand_in(folder.path(), script);
         write_by(program.as_os_str(), &scene(true), &out, &|_, _| false).unwrap();
         assert_eq!(files(folder.path()), ["dance.mp4", "encoder"]);
         let log = fs::read_to_string(&out).unwrap();
         let lines: Vec<&str> = log.lines().collect();
-        assert!(lines[0].contains("-s 800x720 -framerate 30 -i pipe:0 -ss 12.500000 -i file:"));
+        assert!(
+            lines[0].contains("-s 800x720 -framerate 30 -i pipe:0 -ss 12.500000 -f mp3 -i file:")
+        );
         assert!(lines[0].contains("-t 1.000000") && lines[0].contains("-pix_fmt yuv420p"));
         assert_eq!(lines[1], "a song");
         assert_eq!(lines[2].trim(), (30 * 3 * 800 * 720).to_string());

@@ -108,14 +108,84 @@ pub struct Floor {
 /// Music of a motion.
 #[derive(Clone, Debug)]
 pub struct Song {
-    /// Media type of the file, for example `audio/mpeg`.
-    pub media_type: &'static str,
+    /// Format of the file.
+    pub format: SongFormat,
     /// The file.
     pub bytes: Vec<u8>,
     /// Time in the song at which the motion starts, seconds.
     pub start: f64,
     /// Beats, in seconds of the song.
     pub beats: Vec<f64>,
+}
+
+/// Format of a song's file.
+#[derive(Clone, Copy, Debug, Eq, PartialEq)]
+pub enum SongFormat {
+    /// MPEG audio.
+    Mp3,
+    /// RIFF WAVE.
+    Wav,
+    /// FLAC.
+    Flac,
+    /// Ogg.
+    Ogg,
+}
+
+impl SongFormat {
+    /// The format by the file's first bytes, behind ID3 tags; the name is not evidence. `None` for
+    /// other files.
+    pub fn of(bytes: &[u8]) -> Option<Self> {
+        let mut rest = bytes;
+        while let [b'I', b'D', b'3', _, _, _, a, b, c, d, ..] = *rest {
+            // Seven bits of each byte count.
+            let size = [a, b, c, d]
+                .iter()
+                .fold(0, |size, byte| size << 7 | usize::from(byte & 127));
+            rest = rest.get(10 + size..)?;
+        }
+        match *rest {
+            [
+                b'R',
+                b'I',
+                b'F',
+                b'F',
+                _,
+                _,
+                _,
+                _,
+                b'W',
+                b'A',
+                b'V',
+                b'E',
+                ..,
+            ] => Some(Self::Wav),
+            [b'f', b'L', b'a', b'C', ..] => Some(Self::Flac),
+            [b'O', b'g', b'g', b'S', ..] => Some(Self::Ogg),
+            // Eleven bits set, then version and layer, which AAC does not have.
+            [0xff, second, ..] if second & 0xe0 == 0xe0 && second & 0x06 != 0 => Some(Self::Mp3),
+            _ => None,
+        }
+    }
+
+    /// Media type, for pages.
+    pub fn media_type(self) -> &'static str {
+        match self {
+            Self::Mp3 => "audio/mpeg",
+            Self::Wav => "audio/wav",
+            Self::Flac => "audio/flac",
+            Self::Ogg => "audio/ogg",
+        }
+    }
+
+    /// Name of ffmpeg's demuxer.
+    pub fn demuxer(self) -> &'static str {
+        match self {
+            Self::Mp3 => "mp3",
+            Self::Wav => "wav",
+            Self::Flac => "flac",
+            Self::Ogg => "ogg",
+        }
+    }
 }
 
 impl SceneObject {

@@ -1,5 +1,6 @@
 //! Tables and numbers.
 
+use kinegrad_output::cell;
 use tabled::builder::Builder;
 use tabled::settings::object::Columns;
 use tabled::settings::{Alignment, Padding, Style, Width};
@@ -57,6 +58,7 @@ fn part<'a>(all: &'a [Vec<String>], columns: &[usize]) -> Vec<Vec<&'a str>> {
 
 /// Text with line breaks between words, for lines of at most `width` characters.
 pub fn wrapped(text: &str, width: Option<usize>) -> String {
+    let text = &*cell(text);
     let Some(width) = width.filter(|width| *width < widest(text)) else {
         return text.to_owned();
     };
@@ -83,7 +85,8 @@ where
 {
     let mut builder = Builder::default();
     for row in rows {
-        builder.push_record(row);
+        let cells = row.into_iter().map(Into::into);
+        builder.push_record(cells.map(|text: String| cell(&text).into_owned()));
     }
     let mut table = builder.build();
     table
@@ -146,6 +149,13 @@ mod tests {
         let said = wrapped("one two three four", Some(9));
         assert_eq!(said, "one two\nthree\nfour");
         assert_eq!(wrapped("one two three four", None), "one two three four");
+    }
+
+    #[test]
+    fn a_cell_cannot_begin_a_line() {
+        let cells = ["a\nerror: \u{1b}[2J".to_string(), "1".to_string()];
+        let shown = table(["name", "value"], [cells]);
+        assert!(shown.ends_with(" a\\nerror: \\u{1b}[2J |     1"), "{shown}");
     }
 
     #[test]

@@ -274,7 +274,7 @@ pub fn must_be_tables(
     read: &impl Serialize,
     place: Place<'_>,
 ) -> Result<(), DocumentError> {
-    let read = Table::try_from(read).expect("documents are plain data");
+    let read = Table::try_from(read).unwrap_or_default();
     match list_for_table("", table, &read) {
         None => Ok(()),
         Some((key, elements)) => Err(DocumentError::Value {

@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::UNIX_EPOCH;
 
-use kinegrad_data::file::lock_file;
 use kinegrad_data::manifest;
 use kinegrad_data::{Digest, Object, PREPARATION, Store, StoreError};
 use serde::Serialize;
@@ -63,7 +62,7 @@ fn remove_unfinished(store: &Store) -> Result<(), Error> {
     let (folders, files): (Vec<_>, Vec<_>) = inside.partition(|path| path.is_dir());
     let files = files.into_iter();
     for file in files.chain(folders.iter().flat_map(|folder| entries(folder))) {
-        if kinegrad_data::is_unfinished(&file) {
+        if kinegrad_output::is_unfinished(&file) {
             // Another process may have removed it.
             let _ = fs::remove_file(file);
         }
@@ -75,11 +74,18 @@ impl Output {
     /// Opens the place that the plan names. [`Error::Data`] if the place contains a dataset of
     /// another origin or cannot be used, [`Error::Busy`] if another preparation is writing.
     pub fn open(plan: &Plan, parts: Parts) -> Result<Self, Error> {
-        let place = match plan.output.contains("://") {
-            true => plan.output.clone(),
-            false => plan.resolve(&plan.output).display().to_string(),
+        let folder = plan.resolve(&plan.output);
+        let place = match (plan.output.contains("://"), folder.to_str()) {
+            (true, _) => &plan.output,
+            (false, Some(folder)) => folder,
+            (false, None) => {
+                return Err(Error::Plan {
+                    file: folder.display().to_string(),
+                    problem: "the path of the output folder is not UTF-8".into(),
+                });
+            }
         };
-        let store = Store::open(&place, &plan.store)?;
+        let store = Store::open(place, &plan.store)?;
         if !store.is_writable() {
             return Err(StoreError::ReadOnly(store.uri()).into());
         }
@@ -187,7 +193,7 @@ fn lock(store: &Store) -> Result<Option<File>, Error> {
     if let Some(folder) = path.parent() {
         fs::create_dir_all(folder).map_err(|reason| io("create", folder, reason))?;
     }
-    let file = lock_file(&path).map_err(|reason| io("create", &path, reason))?;
+    let file = kinegrad_output::lock(&path).map_err(|reason| io("create", &path, reason))?;
     match file.try_lock() {
         Ok(()) => Ok(Some(file)),
         Err(TryLockError::WouldBlock) => Err(busy(store)),

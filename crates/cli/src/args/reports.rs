@@ -27,6 +27,9 @@ pub struct PlotArguments {
     /// Image to write
     #[arg(long, value_name = "FILE.svg|FILE.png")]
     pub out: PathBuf,
+    /// Replace an existing file
+    #[arg(long)]
+    pub overwrite: bool,
 }
 
 /// Arguments of `kinegrad report`.

@@ -61,7 +61,7 @@ pub fn features(arguments: FeaturesArguments) -> Result<ExitCode, Error> {
     }
     if !rows.is_empty() {
         let header = ["song", "seconds", "frames", "tempo", "beats", "file"];
-        say!("{}", table(header, rows));
+        show!("{}", table(header, rows));
     }
     Ok(ExitCode::from(code))
 }

@@ -61,7 +61,8 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
         output::json(&json!({ "files": files, "passed": passed, "pass_rate": rate }));
     } else {
         for (path, report) in &reports {
-            say!("{path}\n{}\n", report_table(report));
+            say!("{path}");
+            show!("{}\n", report_table(report));
             for check in report.checks.iter().filter(|check| !check.passed) {
                 say!("FAIL {}: {}\n", check.name, check.message);
             }
@@ -73,7 +74,7 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
         }
         say!("{passed} of {} pass ({:.0} %)", reports.len(), 100.0 * rate);
         if reports.len() > 1 {
-            say!("{}", rates_table(reports.iter().map(|(_, report)| report)));
+            show!("{}", rates_table(reports.iter().map(|(_, report)| report)));
         }
     }
     Ok(ExitCode::from(u8::from(passed < reports.len())))

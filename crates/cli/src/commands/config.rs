@@ -22,6 +22,6 @@ pub fn show(systems: Systems<'_>, arguments: ShowArguments) -> Result<ExitCode, 
     let needed = system.footprint(&config)?.of_training(&config, true);
     let needed = memory::size(needed);
     say!("# memory: about {needed} to train it on the CPU");
-    say!("{}", config::to_toml(&config).trim_end());
+    show!("{}", config::to_toml(&config).trim_end());
     Ok(ExitCode::SUCCESS)
 }

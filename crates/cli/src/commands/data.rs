@@ -143,7 +143,7 @@ fn print_selection(chosen: &Selection, all: usize) {
         let cell = |column: &Vec<String>| column.get(row).cloned().unwrap_or_default();
         columns.each_ref().map(cell)
     });
-    say!("{}", table(names, rows));
+    show!("{}", table(names, rows));
     // An empty sum of f64 is -0.
     let sum = |column: &str| {
         let values = chosen.numbers(column).into_iter().flatten().flatten();
@@ -215,10 +215,10 @@ fn print(inspection: &Inspection, config: &DataConfig) {
     let counts = counts.map(|(name, count)| (name.as_str(), grouped(*count)));
     let beats = inspection.beats.iter();
     let beats = beats.map(|beats| ("phase from tracked beats", beats.to_string()));
-    say!("{}\n", facts(shown.into_iter().chain(counts).chain(beats)));
-    say!("{}", channels(&inspection.motion));
+    show!("{}\n", facts(shown.into_iter().chain(counts).chain(beats)));
+    show!("{}", channels(&inspection.motion));
     if !inspection.conditions.is_empty() {
-        say!("\n{}", channels(&inspection.conditions));
+        show!("\n{}", channels(&inspection.conditions));
     }
     print_problems(&inspection.warnings, &inspection.problems);
 }

@@ -11,7 +11,7 @@ pub fn run() -> Result<ExitCode, Error> {
         let works = if works { "yes" } else { "no" };
         [kind.name, works, kind.description].map(String::from)
     });
-    say!("{}", table(["device", "works here", "description"], rows));
+    show!("{}", table(["device", "works here", "description"], rows));
     let (_, chosen) = device::open("auto")?;
     say!("`auto` selects {chosen}");
     Ok(ExitCode::SUCCESS)

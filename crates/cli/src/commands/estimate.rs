@@ -75,6 +75,6 @@ pub fn print(estimate: &Estimate, json: bool) {
         ("time for all", time),
         ("disk", disk),
     ];
-    say!("{}", facts(rows));
+    show!("{}", facts(rows));
     tell!("dry run: nothing was written");
 }

@@ -117,21 +117,21 @@ fn evaluate(
             [one] => one.settings.clone(),
             _ => settings(&models),
         };
-        say!("{}", reports::json(&evaluated, &settings));
+        show!("{}", reports::json(&evaluated, &settings));
         return Ok(());
     }
     let (labels, width) = (labels(runs, &evaluated), output::width());
     for line in summary::verdict(&labels, &evaluated) {
-        say!("{}", kinegrad_report::wrapped(&line, width));
+        show!("{}", kinegrad_report::wrapped(&line, width));
     }
     if arguments.all {
         let columns = columns(runs, &evaluated, false);
-        say!("\n{}", columns_table(&columns, width));
+        show!("\n{}", columns_table(&columns, width));
     } else {
-        say!("{}", summary::table(&labels, &evaluated, width));
+        show!("{}", summary::table(&labels, &evaluated, width));
     }
     for remark in evaluated.iter().flat_map(|each| &each.remarks) {
-        say!("{}", kinegrad_report::wrapped(remark, width));
+        show!("{}", kinegrad_report::wrapped(remark, width));
     }
     for files in written {
         say!("{files}");

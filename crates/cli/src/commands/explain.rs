@@ -36,7 +36,7 @@ pub fn run(systems: Systems<'_>, arguments: ExplainArguments) -> Result<ExitCode
         files
             .iter_mut()
             .for_each(|file| systems.find_ranges(&mut file.keys));
-        say!("{}", markdown(&files).trim_end());
+        show!("{}", markdown(&files).trim_end());
         return Ok(ExitCode::SUCCESS);
     }
     let Some(requested) = &arguments.key else {
@@ -47,7 +47,7 @@ pub fn run(systems: Systems<'_>, arguments: ExplainArguments) -> Result<ExitCode
                 .map(|key| format!("{}: {}", key.key.name, key.key.meaning))
                 .collect();
             lines.dedup();
-            say!("{}\n", lines.join("\n"));
+            show!("{}\n", lines.join("\n"));
         }
         return Ok(ExitCode::SUCCESS);
     };
@@ -70,7 +70,7 @@ pub fn run(systems: Systems<'_>, arguments: ExplainArguments) -> Result<ExitCode
         let keys = file.keys.iter();
         keys.map(|key| explained(key, file.title, every))
     });
-    say!("{}", texts.collect::<Vec<_>>().join("\n").trim_end());
+    show!("{}", texts.collect::<Vec<_>>().join("\n").trim_end());
     Ok(ExitCode::SUCCESS)
 }
 

@@ -1,7 +1,6 @@
 //! `kinegrad init`
 
-use std::fs::OpenOptions;
-use std::io::{ErrorKind, Write};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -120,7 +119,7 @@ pub fn run(arguments: InitArguments) -> Result<ExitCode, Error> {
         None => PathBuf::from(DEFAULT_CONFIG),
     };
     if arguments.out.as_deref() == Some(Path::new(STDOUT)) {
-        say!("{}", template.contents(&usual).trim_end());
+        show!("{}", template.contents(&usual).trim_end());
         return Ok(ExitCode::SUCCESS);
     }
     let file = arguments.out.unwrap_or(usual);
@@ -146,17 +145,12 @@ fn find(name: &str) -> Result<&'static Template, Error> {
 /// Writes a new file; fails if the file exists.
 fn write_new(file: &Path, text: &str) -> Result<(), Error> {
     folder::make_for(file)?;
-    let opened = OpenOptions::new().write(true).create_new(true).open(file);
-    let mut new = opened.map_err(|error| match error.kind() {
+    kinegrad_output::write_new(file, text.as_bytes()).map_err(|error| match error.kind() {
         ErrorKind::AlreadyExists => Error::usage(
             format!("{} exists already", file.display()),
             "remove it, or write another one with `--out FILE.toml`",
         ),
         _ => Error::io("write", file)(error),
-    })?;
-    new.write_all(text.as_bytes()).map_err(|error| {
-        let _ = std::fs::remove_file(file);
-        Error::io("write", file)(error)
     })
 }
 

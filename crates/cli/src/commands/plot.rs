@@ -11,7 +11,7 @@ use kinegrad_train::{Error, Systems};
 
 use super::report::curves::{Metrics, charts};
 use crate::args::PlotArguments;
-use crate::io::{Motion, MotionArray, file_stem};
+use crate::io::{Motion, MotionArray, file_stem, must_be_new};
 use crate::output::{draw, unusable};
 use crate::runs::folder_name;
 use crate::scene::{self, Reading};
@@ -23,8 +23,10 @@ pub fn run(systems: Systems<'_>, arguments: PlotArguments) -> Result<ExitCode, E
         goal,
         reading,
         out,
+        overwrite,
     } = arguments;
     check_ending(&out).map_err(unusable)?;
+    must_be_new([&out], &inputs, overwrite, "--out")?;
     let folder = inputs.iter().find(|input| input.is_dir());
     let panels = match (&inputs[..], goal, folder) {
         (_, Some(_), Some(folder)) => {

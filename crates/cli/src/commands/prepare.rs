@@ -15,7 +15,7 @@ use kinegrad_train::Error;
 use serde::Serialize;
 
 use crate::args::PrepareArguments;
-use crate::output::unusable;
+use crate::output::{self, unusable};
 use crate::progress::{Count, stop_on_ctrl_c};
 
 /// Progress bar and stop flag of a preparation.
@@ -42,7 +42,14 @@ pub fn run(arguments: PrepareArguments) -> Result<ExitCode, Error> {
         let path = std::path::absolute(&out)
             .ok()
             .filter(|_| !out.contains("://"));
-        plan.output = path.map_or(out, |path| path.to_string_lossy().into_owned());
+        plan.output = match path.map(|path| path.into_os_string().into_string()) {
+            None => out,
+            Some(Ok(path)) => path,
+            Some(Err(path)) => {
+                let message = format!("the path {} is not UTF-8", path.display());
+                return Err(Error::usage(message, "write to another folder (`--out`)"));
+            }
+        };
     }
     let progress = Progress {
         takes: Count::new("takes done"),
@@ -78,7 +85,7 @@ fn ended<R: Serialize>(
         return ExitCode::from(130);
     };
     match json {
-        true => say!("{}", serde_json::to_string(&report).expect("plain data")),
+        true => output::json(&report),
         false => print(&report),
     }
     ExitCode::from(u8::from(failed(&report)))
@@ -112,7 +119,7 @@ fn print(report: &PhrasesReport) {
             offsets(take),
         ]
     });
-    say!("{}", table(header, rows));
+    show!("{}", table(header, rows));
     print_grids(&report.takes);
     for take in &report.takes {
         if let Some(failure) = &take.failure {
@@ -185,7 +192,7 @@ fn print_clips(report: &ClipsReport) {
         ("joint maps (takes)", maps.collect::<Vec<_>>().join(", ")),
         ("takes unchanged", format!("{unchanged} of {takes}")),
     ];
-    say!("{}", facts(shown));
+    show!("{}", facts(shown));
     let mut lines = [("failed", vec![]), ("skipped", vec![]), ("notes", vec![])];
     for take in &report.takes {
         let line = |text: &String| format!("{}: {text}", take.name);
@@ -257,7 +264,7 @@ fn print_grids(takes: &[TakeReport]) {
     });
     let rows: Vec<_> = rows.collect();
     if !rows.is_empty() {
-        say!("{}", table(header, rows));
+        show!("{}", table(header, rows));
     }
 }
 

@@ -6,11 +6,10 @@ mod facts;
 mod previews;
 mod samples;
 
-use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use kinegrad_data::file::read_text;
+use kinegrad_data::file::{is_inside, read_text};
 use kinegrad_report::page::{Block, Cell, Page, Section, Table, Tone, csv_table, html};
 use kinegrad_train::telemetry::{Record, read_environments, read_metrics};
 use kinegrad_train::{Error, Systems, config};
@@ -52,7 +51,7 @@ pub fn run(systems: Systems<'_>, arguments: ReportArguments) -> Result<ExitCode,
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes a temporary file first, so that a failure does not damage an existing page.
+/// Writes the page.
 fn write(out: &Path, text: &str) -> Result<(), Error> {
     if out.is_dir() {
         let message = format!("`--out {}` is a folder", out.display());
@@ -61,10 +60,7 @@ fn write(out: &Path, text: &str) -> Result<(), Error> {
         return Err(Error::usage(message, hint));
     }
     folder::make_for(out)?;
-    let temporary = out.with_extension("partial");
-    let written = fs::write(&temporary, text).and_then(|()| fs::rename(&temporary, out));
-    written.map_err(|error| {
-        let _ = fs::remove_file(&temporary);
+    kinegrad_output::write(out, text.as_bytes()).map_err(|error| {
         let message = format!("cannot write {}: {error}", out.display());
         Error::usage(message, "choose another `--out`")
     })
@@ -79,7 +75,7 @@ fn stages(systems: Systems<'_>, run: &Run) -> Vec<Run> {
         _ => run.stages.to_vec(),
     };
     let folders = names.iter().map(|name| run.folder.join(name));
-    let started = folders.filter(|folder| is_run(folder));
+    let started = folders.filter(|folder| is_run(folder) && is_own(&run.folder, folder));
     started.map(|folder| Run::read(systems, &folder)).collect()
 }
 
@@ -162,10 +158,27 @@ fn stage_section(stage: &Run) -> Section {
     section
 }
 
+/// True for a file or folder of the run. A page is passed on, so links that lead out of the run are
+/// not followed.
+fn is_own(run: &Path, path: &Path) -> bool {
+    is_inside(run, path).unwrap_or(false)
+}
+
+/// The files of a folder of the run. Each link that leads out of the run is a warning in the section.
+fn own_files(run: &Path, folder: &str, endings: &[&str], section: &mut Section) -> Vec<PathBuf> {
+    let files = files_in(&run.join(folder), endings).into_iter();
+    let (own, foreign): (Vec<_>, Vec<_>) = files.partition(|path| is_own(run, path));
+    for link in foreign {
+        let text = format!("{} leads out of the run and is left out", link.display());
+        section.add(Block::Warning(text));
+    }
+    own
+}
+
 /// The reports of `kinegrad eval`.
 fn evaluation(run: &Path) -> Section {
     let mut section = Section::new("Evaluation");
-    for path in files_in(&run.join("reports"), &["csv", "json"]) {
+    for path in own_files(run, "reports", &["csv", "json"], &mut section) {
         let name = file_stem(&path);
         let is_csv = path.extension().is_some_and(|ending| ending == "csv");
         let text = match read_text(&path) {
@@ -250,8 +263,11 @@ fn main_rows(table: &Table) -> Table {
 /// The resolved config.
 fn configuration(run: &Run) -> Section {
     let mut section = Section::new("Config");
-    let saved = read_text(&run.folder.join("config.toml")).ok();
-    let text = saved.or_else(|| run.config.as_ref().map(config::to_toml));
+    let path = run.folder.join("config.toml");
+    let saved = is_own(&run.folder, &path).then(|| read_text(&path).ok());
+    let text = saved
+        .flatten()
+        .or_else(|| run.config.as_ref().map(config::to_toml));
     let title = "every key, resolved".into();
     section.add(Block::Source(title, text.unwrap_or_default()));
     section

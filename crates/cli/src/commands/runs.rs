@@ -46,7 +46,7 @@ pub fn run(systems: Systems<'_>, arguments: RunsArguments) -> Result<ExitCode, E
         return Ok(ExitCode::SUCCESS);
     }
     let rows = runs.iter().map(|run| row(run, &folder));
-    say!("{}", table(HEADER, rows));
+    show!("{}", table(HEADER, rows));
     for run in &runs {
         if let Some(problem) = &run.problem {
             tell!("warning: {}: {problem}", name(run, &folder));

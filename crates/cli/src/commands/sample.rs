@@ -154,8 +154,8 @@ pub fn trained_for(
 /// Prints a summary of all samples.
 pub fn say_summary(summary: Option<Summary>) {
     match summary {
-        Some(Summary::Text(text)) => say!("{text}"),
-        Some(Summary::Table(table)) => say!("{}", rows(table)),
+        Some(Summary::Text(text)) => show!("{text}"),
+        Some(Summary::Table(table)) => show!("{}", rows(table)),
         None => {}
     }
 }

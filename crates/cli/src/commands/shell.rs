@@ -3,6 +3,7 @@
 use std::process::ExitCode;
 
 use clap::CommandFactory;
+use kinegrad_output::UnfinishedFolder;
 use kinegrad_train::Error;
 
 use crate::args::{Arguments, CompletionsArguments, ManArguments};
@@ -20,7 +21,7 @@ pub fn completions(arguments: CompletionsArguments) -> Result<ExitCode, Error> {
         PROGRAM,
         &mut script,
     );
-    say!("{}", String::from_utf8_lossy(&script).trim_end());
+    show!("{}", String::from_utf8_lossy(&script).trim_end());
     Ok(ExitCode::SUCCESS)
 }
 
@@ -28,7 +29,11 @@ pub fn completions(arguments: CompletionsArguments) -> Result<ExitCode, Error> {
 pub fn man(arguments: ManArguments) -> Result<ExitCode, Error> {
     let out = arguments.out;
     folder::make(&out)?;
-    clap_mangen::generate_to(Arguments::command(), &out).map_err(Error::io("write", &out))?;
+    let written = UnfinishedFolder::within(&out).and_then(|pages| {
+        clap_mangen::generate_to(Arguments::command(), pages.path())?;
+        pages.move_into(&out)
+    });
+    written.map_err(Error::io("write", &out))?;
     say!("{}", out.join(format!("{PROGRAM}.1")).display());
     Ok(ExitCode::SUCCESS)
 }

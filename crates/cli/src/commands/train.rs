@@ -5,6 +5,7 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::time::Instant;
 
+use kinegrad_output::path_text;
 use kinegrad_report::facts;
 use kinegrad_settings::counted;
 use kinegrad_train::checkpoint::Weights;
@@ -118,6 +119,7 @@ pub fn sample_at_end(systems: Systems<'_>, outcome: &Outcome) -> Result<(), Erro
 /// The summary as JSON.
 #[derive(Serialize)]
 struct Summary<'a> {
+    #[serde(serialize_with = "path_text")]
     run: &'a Path,
     ended: &'static str,
     steps: u64,
@@ -175,7 +177,7 @@ fn summarise(outcome: &Outcome, seconds: f64) {
         best,
         Some(("time", format!("{time} in all, with preparation"))),
     ];
-    say!("{}", facts(rows.into_iter().flatten()));
+    show!("{}", facts(rows.into_iter().flatten()));
 }
 
 /// The number of samples at the end of training, the step of their checkpoint, and their summary.

@@ -9,13 +9,15 @@ use kinegrad_motion::feet::{ContactRule, Planted, lock_joints};
 use kinegrad_motion::humanml::{Extraction, Features, Joints, Skeleton};
 use kinegrad_motion::metrics::BodyQuality;
 use kinegrad_motion::path::{ArcLengthMode, PathPlan, PathReport, Warp};
+use kinegrad_output::path_text;
 use kinegrad_report::table;
 use kinegrad_train::{Error, Systems};
 use serde::Serialize;
 
 use crate::args::WarpArguments;
 use crate::io::{
-    BvhReading, Content, MotionArray, bvh_file, is_bvh, must_be_new, read_body, stem, write_all,
+    BvhReading, Content, MotionArray, bvh_file, is_bvh, must_be_new, read_body, stem, with_ending,
+    write_all,
 };
 use crate::output::unusable;
 use crate::{folder, interrupt, output};
@@ -33,7 +35,9 @@ const LEGS_SHORT: f64 = 0.02;
 #[derive(Serialize)]
 struct Record {
     kinegrad: &'static str,
+    #[serde(serialize_with = "path_text")]
     motion: PathBuf,
+    #[serde(serialize_with = "path_text")]
     path: PathBuf,
     path_sha256: String,
     path_content: PathPlan,
@@ -182,7 +186,7 @@ fn must_be_in_reach(joints: &Joints, length: f64, speed_ratio: f64) -> Result<()
 fn outputs(arguments: &WarpArguments) -> Result<[PathBuf; 4], Error> {
     let stem = stem(&arguments.out)?;
     let outputs = [".npy", ".features.npy", ".bvh", ".json"];
-    let outputs = outputs.map(|ending| PathBuf::from(format!("{stem}{ending}")));
+    let outputs = outputs.map(|ending| with_ending(&stem, ending));
     let read = [arguments.motion.clone(), arguments.path.clone()];
     must_be_new(&outputs, &read, arguments.overwrite, "--out")?;
     Ok(outputs)
@@ -277,7 +281,9 @@ impl Record {
                 number(after.heading_error, 1),
             ),
         ];
-        tell!("{}", table(["", "before", "after"], body.chain(path)));
+        for line in table(["", "before", "after"], body.chain(path)).lines() {
+            tell!("{line}");
+        }
     }
 
     /// Prints notes and warnings.

@@ -27,19 +27,24 @@ pub fn is_companion(path: &Path) -> bool {
     COMPANIONS.iter().any(|ending| name.ends_with(ending))
 }
 
-/// The files at `paths`. A folder gives its files with these endings, without companion files of
-/// samples. Fails if a path has no motion.
+/// The files at `paths`. A folder gives its files with these endings, each once, without companion
+/// files of samples; links to folders and to files outside of it are not followed. Fails if a path
+/// has no motion.
 pub fn motion_files(paths: &[PathBuf], endings: &[&str]) -> Result<Vec<PathBuf>, Error> {
     let mut files = Vec::new();
     for path in paths {
         let before = files.len();
-        collect(path, endings, &mut files);
+        match path.is_file() {
+            true => files.push(path.clone()),
+            false => files.extend(walk(path, endings)),
+        }
         if files.len() == before {
             let message = format!("there is no motion file at {}", path.display());
             let is_bvh = endings.contains(&"bvh");
             let bvh = if is_bvh { ", a .bvh file," } else { "" };
             let hint = format!(
-                "give a .npy file such as `kinegrad sample` writes{bvh} or a folder of them"
+                "give a .npy file such as `kinegrad sample` writes{bvh} or a folder of them; links \
+                 that lead out of a folder are not followed"
             );
             return Err(Error::usage(message, hint));
         }
@@ -47,20 +52,37 @@ pub fn motion_files(paths: &[PathBuf], endings: &[&str]) -> Result<Vec<PathBuf>,
     Ok(files)
 }
 
-fn collect(path: &Path, endings: &[&str], files: &mut Vec<PathBuf>) {
-    if path.is_file() {
-        files.push(path.to_path_buf());
-        return;
-    }
-    let entries = fs::read_dir(path).into_iter().flatten().flatten();
-    let mut inside: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
-    inside.sort();
-    for path in inside {
-        let ending = path.extension().and_then(|ending| ending.to_str());
-        let is_motion =
-            ending.is_some_and(|ending| endings.contains(&ending)) && !has_sample(&path);
-        if is_motion || path.is_dir() {
-            collect(&path, endings, files);
+/// The motion files below `root`, by path.
+fn walk(root: &Path, endings: &[&str]) -> Vec<PathBuf> {
+    let (mut files, mut links) = (Vec::new(), Vec::new());
+    collect(root, endings, &mut files, &mut links);
+    let root = root.canonicalize().unwrap_or_default();
+    let real = files.iter().filter_map(|file| file.canonicalize().ok());
+    let mut real: HashSet<PathBuf> = real.collect();
+    links.sort();
+    links.retain(|link| {
+        let target = link.canonicalize().ok();
+        let target = target.filter(|target| target.is_file() && target.starts_with(&root));
+        target.is_some_and(|target| real.insert(target))
+    });
+    files.extend(links);
+    files.sort();
+    files
+}
+
+/// Collects the motion files below `folder`, and the links that are named as motion files.
+fn collect(folder: &Path, endings: &[&str], files: &mut Vec<PathBuf>, links: &mut Vec<PathBuf>) {
+    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+        let (path, kind) = (entry.path(), entry.file_type());
+        let is_motion = || {
+            let ending = path.extension().and_then(|ending| ending.to_str());
+            ending.is_some_and(|ending| endings.contains(&ending)) && !has_sample(&path)
+        };
+        match kind {
+            Ok(kind) if kind.is_dir() => collect(&path, endings, files, links),
+            Ok(kind) if kind.is_file() && is_motion() => files.push(path),
+            Ok(kind) if kind.is_symlink() && is_motion() => links.push(path),
+            _ => {}
         }
     }
 }
@@ -137,5 +159,47 @@ mod tests {
         assert_eq!(found(false), ["a.npy", "b.bvh", "d.raw.npy"]);
         assert_eq!(found(true), ["a.npy", "a.raw.npy", "b.bvh", "d.raw.npy"]);
         assert!(motion_files(&[folder.path().join("none")], &["npy"]).is_err());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_add_no_files_and_no_loops() {
+        use std::os::unix::fs::symlink;
+        let [folder, outside] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+        let at = |name: &str| folder.path().join(name);
+        for file in [
+            at("deep/b.npy"),
+            at("c.npy"),
+            outside.path().join("secret.npy"),
+        ] {
+            fs::create_dir_all(file.parent().unwrap()).unwrap();
+            fs::write(file, "").unwrap();
+        }
+        fs::write(at("deep/object"), "").unwrap();
+        for (target, link) in [
+            (folder.path().to_path_buf(), "deep/loop"),
+            (outside.path().to_path_buf(), "out"),
+            (outside.path().join("secret.npy"), "secret.npy"),
+            (at("c.npy"), "a.npy"),
+            (at("none"), "none.npy"),
+            // The store of a versioned dataset.
+            (at("deep/object"), "d.npy"),
+        ] {
+            symlink(target, at(link)).unwrap();
+        }
+        let found = motion_files(&[folder.path().to_path_buf()], &["npy"]).unwrap();
+        assert_eq!(found, ["c.npy", "d.npy", "deep/b.npy"].map(at));
+        // A link that is named itself is followed.
+        for (link, files) in [
+            ("out", vec![at("out/secret.npy")]),
+            ("a.npy", vec![at("a.npy")]),
+        ] {
+            assert_eq!(motion_files(&[at(link)], &["npy"]).unwrap(), files);
+        }
+        fs::remove_file(at("c.npy")).unwrap();
+        fs::remove_dir_all(at("deep")).unwrap();
+        let error = motion_files(&[folder.path().to_path_buf()], &["npy"]).unwrap_err();
+        let hint = miette::Diagnostic::help(&error).unwrap().to_string();
+        assert!(hint.contains("links that lead out of a folder"), "{hint}");
     }
 }

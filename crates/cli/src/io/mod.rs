@@ -12,5 +12,5 @@ pub use bvh::{
 };
 pub use find::{file_stem, files_in, has_extension, is_companion, motion_files, with_raw};
 pub use motion::{Motion, MotionArray, not_finite};
-pub use outputs::{Content, must_be_new, stem, write_all};
+pub use outputs::{Content, must_be_new, stem, with_ending, write_all};
 pub use samples::{Files, Written, must_be_finite};

@@ -1,5 +1,6 @@
 //! Output files: their names, a check for existing files, and writing all or none.
 
+use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::path::{MAIN_SEPARATOR, Path, PathBuf};
 
@@ -8,12 +9,16 @@ use kinegrad_motion::humanml::Features;
 use kinegrad_train::Error;
 
 /// The prefix of output file names from `--out`, without `.npy`. Fails if `--out` names a folder.
-pub fn stem(out: &Path) -> Result<String, Error> {
+pub fn stem(out: &Path) -> Result<OsString, Error> {
+    // The text decides only; names need not be UTF-8.
     let text = out.to_string_lossy();
     let stem = text.strip_suffix(".npy").unwrap_or(&text);
     let name = stem.rsplit(['/', MAIN_SEPARATOR]).next();
     if !matches!(name, None | Some("" | "." | "..")) {
-        return Ok(stem.to_string());
+        return Ok(match text.ends_with(".npy") {
+            true => out.with_extension("").into_os_string(),
+            false => out.as_os_str().to_owned(),
+        });
     }
     let folder = Path::new(if stem.is_empty() { "./" } else { stem });
     Err(Error::usage(
@@ -23,6 +28,13 @@ pub fn stem(out: &Path) -> Result<String, Error> {
             folder.join("sample").display()
         ),
     ))
+}
+
+/// The file of a prefix with this ending.
+pub fn with_ending(stem: &OsStr, ending: &str) -> PathBuf {
+    let mut path = stem.to_owned();
+    path.push(ending);
+    path.into()
 }
 
 /// Refuses outputs that are also inputs, or that exist and must not be replaced. The error names

@@ -1,14 +1,16 @@
 //! Files of samples.
 
+use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use kinegrad_output::path_text;
 use kinegrad_train::Error;
 use kinegrad_train::sampling::{Contents, Names, Record, Sample, SampleSink};
 use serde::Serialize;
 
 use super::bvh::{bvh_file, bvh_text};
-use super::outputs::{Content, stem, write_all};
+use super::outputs::{Content, stem, with_ending, write_all};
 use crate::interrupt;
 use crate::progress::Denoising;
 
@@ -22,6 +24,7 @@ const UNUSABLE: &str = ".unusable";
 #[derive(Serialize)]
 pub struct Written {
     /// The files, the motion first and the record last.
+    #[serde(serialize_with = "path_text")]
     pub files: Vec<PathBuf>,
     /// Its record.
     pub record: Record,
@@ -30,7 +33,7 @@ pub struct Written {
 /// Writes samples and their records to files with one stem.
 #[derive(Default)]
 pub struct Files {
-    stem: String,
+    stem: OsString,
     overwrite: bool,
     bar: Option<Denoising>,
     /// Prints neither files nor notes; warnings are printed.
@@ -64,7 +67,8 @@ impl Files {
     /// Files in `folder` that are not printed.
     pub(crate) fn silent(folder: &Path) -> Self {
         Self {
-            stem: format!("{}/", folder.display()),
+            // With a separator at its end.
+            stem: folder.join("").into_os_string(),
             overwrite: true,
             is_silent: true,
             allows_unusable: true,
@@ -73,7 +77,7 @@ impl Files {
     }
 
     fn path(&self, name: &str, extension: &str) -> PathBuf {
-        PathBuf::from(format!("{}{name}{extension}", self.stem))
+        with_ending(&self.stem, &format!("{name}{extension}"))
     }
 
     /// The file of a sample's motion.
@@ -187,7 +191,7 @@ impl SampleSink for Files {
         if let Some(bar) = self.bar.take() {
             bar.finish();
         }
-        must_be_finite(&sample, &self.stem)?;
+        must_be_finite(&sample, &self.stem.to_string_lossy())?;
         if !self.allows_unusable && !sample.record.is_usable() {
             sample.name += UNUSABLE;
             self.unusable += 1;

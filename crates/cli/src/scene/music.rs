@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use kinegrad_audio::{SAMPLE_RATE, extract};
 use kinegrad_data::file::read_file;
-use kinegrad_report::scene::Song;
+use kinegrad_report::scene::{Song, SongFormat};
 use kinegrad_train::Error;
 use kinegrad_train::memory::must_fit;
 use serde::Deserialize;
@@ -101,25 +101,17 @@ pub fn song(music: &Music, seconds: f64) -> Result<Song, Error> {
     let during = |beat: &f64| (from as f64 / rate..=to as f64 / rate).contains(beat);
     let beats: Vec<f64> = beats.into_iter().filter(during).collect();
     let bytes = read_file(path, LARGEST).map_err(Error::io("read", path))?;
-    let ending = path.extension().map(|ending| ending.to_ascii_lowercase());
-    let media_type = match ending.as_ref().and_then(|ending| ending.to_str()) {
-        Some("mp3") => Some("audio/mpeg"),
-        Some("wav") => Some("audio/wav"),
-        Some("flac") => Some("audio/flac"),
-        Some("ogg" | "oga") => Some("audio/ogg"),
-        _ => None,
-    };
     let shift = from as f64 / rate;
     let uncompressed = HEADER + 2 * part.len();
-    Ok(match media_type {
-        Some(media_type) if bytes.len() <= uncompressed => Song {
-            media_type,
+    Ok(match SongFormat::of(&bytes) {
+        Some(format) if bytes.len() <= uncompressed => Song {
+            format,
             bytes,
             start: shift,
             beats,
         },
         _ => Song {
-            media_type: "audio/wav",
+            format: SongFormat::Wav,
             bytes: wav(part),
             start: 0.0,
             beats: beats.into_iter().map(|beat| beat - shift).collect(),

@@ -5,13 +5,13 @@
 //! without a manifest. Files appear by a rename and never change, so processes may share the
 //! folder. One process at a time evicts files.
 
-use std::fs::{self, File, TryLockError};
+use std::fs::{self, TryLockError};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::SystemTime;
 
 use crate::digest::Digest;
-use crate::file::{lock_file, read_file, read_text};
+use crate::file::{read_file, read_text};
 use crate::{Error, atomic};
 
 /// Share of the limit that remains in use after eviction.
@@ -52,7 +52,7 @@ impl DiskCache {
             return None;
         }
         // Eviction uses the modification time; a read-only cache works without it.
-        if let Ok(file) = File::options().append(true).open(&path) {
+        if let Ok(file) = kinegrad_output::append(&path) {
             let _ = file.set_modified(SystemTime::now());
         }
         Some(bytes)
@@ -96,7 +96,7 @@ impl DiskCache {
     /// Removes the least recently used files until the cache is below the limit, unless another
     /// process is evicting.
     fn make_room(&self) {
-        let Ok(lock) = lock_file(&self.folder.join("lock")) else {
+        let Ok(lock) = kinegrad_output::lock(&self.folder.join("lock")) else {
             return;
         };
         // Without file locks, each process evicts by itself.
@@ -185,7 +185,7 @@ mod tests {
             cache.put(&Digest::of(&bytes), &bytes);
             let used = SystemTime::now() - Duration::from_secs(1000 - u64::from(number));
             let path = cache.object(&Digest::of(&bytes));
-            if let Ok(file) = File::options().append(true).open(path) {
+            if let Ok(file) = fs::File::options().append(true).open(path) {
                 file.set_modified(used).unwrap();
             }
             if number == 0 {

@@ -1,7 +1,9 @@
 //! Conversion between manifest rows and Parquet tables.
 
 use std::collections::HashSet;
+use std::env;
 use std::io::Cursor;
+use std::thread::available_parallelism;
 
 use kinegrad_audio::guard::guarded;
 use polars::df;
@@ -20,6 +22,9 @@ use super::{Cells, filter, footer};
 use crate::layout::check_id;
 use crate::{AudioGroup, Digest, Side};
 
+/// The environment variable of polars' threads.
+const THREADS: &str = "POLARS_MAX_THREADS";
+
 /// The optional column of labels.
 const LABEL_COLUMN: &str = "label";
 
@@ -30,6 +35,7 @@ pub(super) fn encode(mut rows: Vec<ManifestRow>) -> Result<Vec<u8>, String> {
 }
 
 fn written(frame: Result<DataFrame, PolarsError>) -> Result<Vec<u8>, String> {
+    must_be_few_threads(env::var(THREADS).ok())?;
     let mut bytes = Vec::new();
     frame
         .and_then(|mut frame| ParquetWriter::new(&mut bytes).finish(&mut frame))
@@ -53,6 +59,7 @@ pub(super) fn encode_columns(columns: Vec<(String, Cells)>) -> Result<Vec<u8>, S
 
 /// The `wanted` columns of a Parquet file, or all; or the file's error.
 pub(super) fn decode(bytes: Vec<u8>, wanted: Option<&[&str]>) -> Result<DataFrame, String> {
+    must_be_few_threads(env::var(THREADS).ok())?;
     let most_text = footer::most_unpacked(bytes.len());
     // polars panics on some damaged pages.
     let decoded = guarded(|| {
@@ -74,6 +81,17 @@ pub(super) fn decode(bytes: Vec<u8>, wanted: Option<&[&str]>) -> Result<DataFram
     decoded
         .unwrap_or_else(|| Err("its parts contradict each other".to_owned()))
         .map_err(|reason| format!("not a readable Parquet file: {reason}"))
+}
+
+/// Rejects more threads than this process has cores: polars starts all of them.
+fn must_be_few_threads(asked: Option<String>) -> Result<(), String> {
+    let cores = available_parallelism().map_or(1, usize::from);
+    match asked.and_then(|number| number.parse::<u64>().ok()) {
+        Some(threads) if threads > cores as u64 => Err(format!(
+            "{THREADS} is {threads}, allowed: 1 to {cores}, the cores of this process"
+        )),
+        _ => Ok(()),
+    }
 }
 
 /// Total bytes of a text column's cells.
@@ -249,4 +267,21 @@ pub(super) fn numbers(column: &Column) -> Result<Vec<Option<f64>>, String> {
 pub(super) fn cast(column: &Column, to: &DataType) -> Result<Column, String> {
     let broken = |error| format!("column `{}`: {error}", column.name());
     column.cast(to).map_err(broken)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn threads_are_those_of_the_machine_at_most() {
+        let error = must_be_few_threads(Some("100000".into())).unwrap_err();
+        assert!(
+            error.starts_with("POLARS_MAX_THREADS is 100000, allowed: 1 to "),
+            "{error}"
+        );
+        for asked in [None, Some("1"), Some("many")] {
+            must_be_few_threads(asked.map(String::from)).unwrap();
+        }
+    }
 }

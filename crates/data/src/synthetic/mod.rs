@@ -11,8 +11,8 @@ mod style;
 
 use std::path::Path;
 use std::sync::Arc;
-use std::{fs, io};
 
+use kinegrad_output::UnfinishedFolder;
 use kinegrad_random::{Key, Purpose};
 use rayon::prelude::*;
 
@@ -93,24 +93,16 @@ pub(crate) fn write_whole(
     if parts.iter().any(|part| folder.join(part).exists()) {
         return Err(Error::Exists(folder.to_owned()));
     }
-    let staging = folder.join(format!(".synth-{}.tmp", std::process::id()));
-    let written = fill(&staging).and_then(|()| {
-        parts
-            .iter()
-            .try_for_each(|part| fs::rename(staging.join(part), folder.join(part)))
-            .map_err(|reason| Error::io("write", folder, reason))
-    });
-    let cleared = match fs::remove_dir_all(&staging) {
-        Err(reason) if reason.kind() != io::ErrorKind::NotFound => {
-            Err(Error::io("remove", &staging, reason))
-        }
-        _ => Ok(()),
-    };
-    written.and(cleared)
+    let failed = |reason| Error::io("write", folder, reason);
+    let staging = UnfinishedFolder::within(folder).map_err(failed)?;
+    fill(staging.path())?;
+    staging.move_into(folder).map_err(failed)
 }
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
     use kinegrad_motion::phrase::{ACCELERATION, PHASE, POSITION, QUATERNION, STYLE, VELOCITY};
     use kinegrad_motion::{FPS, Profile, check, derivatives, phrase_statistics};

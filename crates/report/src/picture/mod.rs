@@ -75,7 +75,7 @@ pub fn draw(
     let is_svg = ending.eq_ignore_ascii_case("svg");
     let sheet = Sheet::new(panels, columns, size);
     let bytes = if is_svg { sheet.svg() } else { sheet.png() };
-    let written = bytes.and_then(|bytes| Ok(std::fs::write(out, bytes)?));
+    let written = bytes.and_then(|bytes| Ok(kinegrad_output::write(out, &bytes)?));
     written.map_err(|error| PictureError::Drawing {
         path: out.to_path_buf(),
         reason: error.to_string(),

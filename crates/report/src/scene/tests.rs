@@ -93,3 +93,28 @@ fn sides_follow_from_names() {
         assert_eq!(object.side(0), side, "{name}");
     }
 }
+
+#[test]
+fn the_format_of_a_song_is_that_of_its_bytes() {
+    let tagged = |rest: &[u8]| [b"ID3\x04\0\0\0\0\x01\x02".as_slice(), &[0; 130], rest].concat();
+    for (bytes, format) in [
+        (b"RIFF\x08\0\0\0WAVEfmt ".to_vec(), Some(SongFormat::Wav)),
+        (b"fLaC\0".to_vec(), Some(SongFormat::Flac)),
+        (b"OggS\0".to_vec(), Some(SongFormat::Ogg)),
+        (vec![0xff, 0xfb, 0x90, 0x64], Some(SongFormat::Mp3)),
+        (tagged(&[0xff, 0xf3, 0x40]), Some(SongFormat::Mp3)),
+        (tagged(b"fLaC"), Some(SongFormat::Flac)),
+        (tagged(b""), None),
+        (b"ID3\x04\0\0\x7f\x7f\x7f\x7f".to_vec(), None),
+        // AAC, and a playlist before MPEG frames.
+        (vec![0xff, 0xf1, 0x50, 0x80], None),
+        (
+            b"#EXTM3U\nfile:///etc/passwd\n\xff\xfb\x90\x64".to_vec(),
+            None,
+        ),
+        (b"RIFF\x08\0\0\0AVI ".to_vec(), None),
+        (Vec::new(), None),
+    ] {
+        assert_eq!(SongFormat::of(&bytes), format, "{bytes:?}");
+    }
+}

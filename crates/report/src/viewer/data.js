@@ -2,6 +2,10 @@
 
 const GAP = 65535;
 
+// Extremes of numbers. `Math.max(...values)` fails for a hundred thousand values.
+const largest = (values) => values.reduce((most, value) => Math.max(most, value), -Infinity);
+const smallest = (values) => values.reduce((least, value) => Math.min(least, value), Infinity);
+
 const bytesOf = (text) => {
   if (Uint8Array.fromBase64) return Uint8Array.fromBase64(text);
   const letters = atob(text);

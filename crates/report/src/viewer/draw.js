@@ -201,7 +201,7 @@ class Painter {
     const table = DRAWING.goal;
     const standing = ([x, z]) => [x, this.level, z];
     const shapes = obstacles.map(([centre, radius]) => this.circle(centre, radius));
-    shapes.push(...polygons.map((corners) => corners.map(standing)));
+    for (const corners of polygons) shapes.push(corners.map(standing));
     context.lineWidth = table.width * ratio;
     for (const shape of shapes) {
       context.fillStyle = this.obstacle;

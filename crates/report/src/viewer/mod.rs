@@ -160,7 +160,7 @@ fn contact_json(contact: &Contact) -> Value {
 fn song_json(song: &Song) -> Value {
     let data = BASE64_STANDARD.encode(&song.bytes);
     json!({
-        "src": format!("data:{};base64,{data}", song.media_type),
+        "src": format!("data:{};base64,{data}", song.format.media_type()),
         "start": song.start,
         "beats": song.beats,
     })

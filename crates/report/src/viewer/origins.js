@@ -79,7 +79,7 @@ class ExampleChart extends Chart {
         label: several ? `${own.name}: ${name}` : name,
       })),
     );
-    const longest = Math.max(...rows.map(({ frames }) => frames));
+    const longest = largest(rows.map(({ frames }) => frames));
     const chart = { title: "source frames in the examples", names: [], lines: [], rows, longest };
     super(chart, scene, seek);
     this.canvas.setAttribute("aria-label", this.title);

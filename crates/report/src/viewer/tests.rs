@@ -1,5 +1,5 @@
 use super::*;
-use crate::scene::{Curves, PartOrigins};
+use crate::scene::{Curves, PartOrigins, SongFormat};
 
 fn object(name: &str, frames: usize, joints: usize) -> SceneObject {
     let place = |i: usize| (i as f32 * 0.37).sin();
@@ -58,7 +58,7 @@ fn contacts_are_ranges_and_thumbnails_leave_curves_and_song_out() {
     let scene = Scene {
         objects: vec![object("a", 7, 2)],
         song: Some(Song {
-            media_type: "audio/wav",
+            format: SongFormat::Wav,
             bytes: vec![1, 2, 3],
             start: 0.5,
             beats: vec![1.0],
@@ -131,4 +131,11 @@ fn four_clips_of_ten_seconds_with_seventy_joints_fit_into_a_megabyte_and_a_half(
     };
     let bytes = page(&scene).len();
     assert!(bytes < 1_500_000, "{bytes} bytes");
+}
+
+#[test]
+fn no_script_passes_a_list_of_points_as_arguments() {
+    for call in ["Math.min(...", "Math.max(...", "push(..."] {
+        assert!(!script().contains(call), "{call}");
+    }
 }

@@ -76,11 +76,11 @@ class Viewer {
   async load() {
     const data = JSON.parse(this.section.querySelector("script").textContent);
     const figures = await Promise.all(data.figures.map(readFigure));
-    const seconds = Math.max(...figures.map((figure) => figure.seconds));
-    this.fps = Math.max(...figures.map((figure) => figure.fps));
+    const seconds = largest(figures.map((figure) => figure.seconds));
+    this.fps = largest(figures.map((figure) => figure.fps));
     this.frames = Math.max(1, Math.round(seconds * this.fps));
-    const size = Math.max(...figures.map((figure) => figure.height));
-    const lowest = Math.min(...figures.map((figure) => figure.low[1]));
+    const size = largest(figures.map((figure) => figure.height));
+    const lowest = smallest(figures.map((figure) => figure.low[1]));
     const lone = figures.every((figure) => figure.count === 1);
     // Feet stand at 0, unless the file has another origin.
     const ground = lone || Math.abs(lowest) < DRAWING.stage.other_origin * size ? 0 : lowest;
@@ -258,13 +258,13 @@ class Viewer {
   // have one scale and one height of the ground, unless each is fitted.
   framings(panes) {
     const found = panes.map((pane) => this.framing(pane));
-    const lift = Math.max(...found.map(({ rise }) => rise));
+    const lift = largest(found.map(({ rise }) => rise));
     const placed = found.map(({ x, z, ground, points, rise, aspect }) => {
       const y = ground + (this.fitEach ? rise : lift);
       const distance = distanceFor(points.map(([reach, height]) => [reach, height - y]), aspect);
       return [[x, y, z], distance];
     });
-    const furthest = Math.max(...placed.map(([, distance]) => distance));
+    const furthest = largest(placed.map(([, distance]) => distance));
     return placed.map(([target, distance]) => [target, this.fitEach ? distance : furthest]);
   }
 
@@ -282,13 +282,13 @@ class Viewer {
     const places = [...figures.map(({ axis }) => axis), ...goals];
     const [x, z] = [0, 1].map((axis) => {
       const values = places.map((place) => place[axis]);
-      return (Math.min(...values) + Math.max(...values)) / 2;
+      return (smallest(values) + largest(values)) / 2;
     });
     const off = (place) => Math.hypot(place[0] - x, place[1] - z);
     const points = figures.flatMap(({ axis, outline }) => outline.map(([reach, y]) => [reach + off(axis), y]));
-    points.push(...places.map((place) => [off(place), ground]));
+    for (const place of places) points.push([off(place), ground]);
     const heights = points.map(([, y]) => y);
-    const rise = (Math.min(...heights) + Math.max(...heights)) / 2 - ground;
+    const rise = (smallest(heights) + largest(heights)) / 2 - ground;
     return { x, z, ground, points, rise, aspect: width / height };
   }
 

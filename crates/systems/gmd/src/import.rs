@@ -155,6 +155,7 @@ impl Sizes {
             padded_frames: request.padded_frames,
             ..GmdUnetConfig::default()
         };
+        network.validate()?;
         let known = GmdUnetConfig::SIZES.iter().find(|(_, of_size)| {
             let of_size = of_size();
             (of_size.latent_dim, &of_size.dim_mults) == (width, &network.dim_mults)

@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 
 use kinegrad_data::file::{MAX_TEXT_BYTES, read_file};
 use kinegrad_models::parameters::ParameterInfo;
+use kinegrad_output::UnfinishedFolder;
 
-use super::tensors::{OPTIMIZER, Weights, write, write_flushed};
+use super::tensors::{OPTIMIZER, Weights, write};
 use super::{Best, Checkpoint, State, broken_weights};
 use crate::optim::Moments;
 use crate::{Error, run};
@@ -94,12 +95,10 @@ impl Checkpoints {
 
     /// Starts a checkpoint that is written part by part.
     pub(crate) fn begin(&self, step: u64) -> Result<Unfinished, Error> {
-        let temporary = self.path.join(format!("{UNFINISHED}{step:08}"));
-        fs::create_dir_all(&self.path).map_err(Error::io("create", &self.path))?;
-        remove(&temporary)?;
-        fs::create_dir(&temporary).map_err(Error::io("create", &temporary))?;
+        self.remove_unfinished()?;
+        let temporary = UnfinishedFolder::within(&self.path);
         Ok(Unfinished {
-            temporary,
+            temporary: temporary.map_err(Error::io("create", &self.path))?,
             target: self.step_path(step),
             checksums: BTreeMap::new(),
         })
@@ -111,11 +110,17 @@ impl Checkpoints {
         let Some(best) = best else {
             return remove(&target);
         };
-        let temporary = self.path.join(format!("{UNFINISHED}best.json"));
         let text = serde_json::to_string_pretty(best).expect("plain data") + "\n";
-        write_flushed(&temporary, text.as_bytes())?;
-        fs::rename(&temporary, &target).map_err(Error::io("rename", &temporary))?;
+        let written = kinegrad_output::write(&target, text.as_bytes());
+        written.map_err(Error::io("write", &target))?;
         flush_folder(&self.path)
+    }
+
+    /// Removes what interrupted processes left.
+    fn remove_unfinished(&self) -> Result<(), Error> {
+        let names = self.names()?.into_iter();
+        let mut unfinished = names.filter(|name| name.starts_with(UNFINISHED));
+        unfinished.try_for_each(|name| remove(&self.path.join(name)))
     }
 
     /// Removes unfinished files and old checkpoints. The newest `keep_last`, the best, and
@@ -126,11 +131,7 @@ impl Checkpoints {
         keep_last: usize,
         best: Option<u64>,
     ) -> Result<(), Error> {
-        for name in self.names()? {
-            if name.starts_with(UNFINISHED) {
-                remove(&self.path.join(name))?;
-            }
-        }
+        self.remove_unfinished()?;
         let steps = self.steps()?.into_iter().rev();
         let superseded = steps.filter(|&step| step <= current).skip(keep_last);
         for step in superseded.filter(|&step| Some(step) != best) {
@@ -140,8 +141,14 @@ impl Checkpoints {
     }
 }
 
-/// Rejects a folder that is not empty.
+/// Rejects a folder that is not empty, or whose name a run cannot have.
 pub fn must_be_free(out: &Path) -> Result<(), Error> {
+    let name = out.file_name().unwrap_or_default().to_string_lossy();
+    if name.contains(char::is_control) {
+        let message = format!("option `out` is {}", out.display());
+        let hint = "the folder's name is the run's, which has no control characters";
+        return Err(Error::usage(message, hint));
+    }
     let taken = out
         .read_dir()
         .is_ok_and(|mut entries| entries.next().is_some());
@@ -181,7 +188,7 @@ pub fn write_weights(
 
 /// A checkpoint being written; removed unless it is [finished](Self::finish).
 pub(crate) struct Unfinished {
-    temporary: PathBuf,
+    temporary: UnfinishedFolder,
     target: PathBuf,
     checksums: BTreeMap<String, String>,
 }
@@ -231,7 +238,7 @@ impl Unfinished {
         file: &str,
         tensors: impl IntoIterator<Item = (String, &'a [usize], &'a [f32])>,
     ) -> Result<(), Error> {
-        let checksum = write(&self.temporary.join(file), tensors)?;
+        let checksum = write(&self.temporary.path().join(file), tensors)?;
         self.checksums.insert(file.to_string(), checksum);
         Ok(())
     }
@@ -246,23 +253,19 @@ impl Unfinished {
             ..state.clone()
         };
         let text = state.to_text();
-        write_flushed(&self.temporary.join("state.json"), text.as_bytes())?;
-        flush_folder(&self.temporary)?;
+        let temporary = self.temporary.path();
+        let path = temporary.join("state.json");
+        kinegrad_output::write(&path, text.as_bytes()).map_err(Error::io("write", &path))?;
+        flush_folder(temporary)?;
         // An unreadable checkpoint must not replace a readable one.
-        State::read(&self.temporary)?;
+        State::read(temporary)?;
         // An existing checkpoint of this step is damaged, or older than a fallback to an earlier
         // checkpoint.
         remove(&self.target)?;
-        fs::rename(&self.temporary, &self.target).map_err(Error::io("rename", &self.temporary))?;
+        let moved = self.temporary.finish(&self.target);
+        moved.map_err(Error::io("rename", &self.target))?;
         flush_folder(self.target.parent().unwrap_or(&self.target))?;
-        Ok(self.target.clone())
-    }
-}
-
-impl Drop for Unfinished {
-    fn drop(&mut self) {
-        // A finished checkpoint has been renamed.
-        let _ = fs::remove_dir_all(&self.temporary);
+        Ok(self.target)
     }
 }
 

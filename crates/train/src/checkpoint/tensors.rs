@@ -1,11 +1,12 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
-use std::fs::{self, File};
-use std::io::{self, ErrorKind, Read, Seek, Write};
+use std::fs::File;
+use std::io::{self, ErrorKind, Read, Seek};
 use std::path::Path;
 
 use kinegrad_data::file::regular;
 use kinegrad_models::parameters::{HostParameter, ParameterInfo};
+use kinegrad_output::Unfinished;
 use safetensors::tensor::Metadata;
 use safetensors::{Dtype, SafeTensorError, SafeTensors, View};
 use serde::{Deserialize, Serialize};
@@ -69,27 +70,15 @@ pub(super) fn write<'a>(
         .map(|(name, shape, values)| (name, HostView { shape, values }));
     // Python loaders of torch models read the key `format`.
     let metadata = HashMap::from([("format".to_string(), "pt".to_string())]);
-    // The library replaces this file with a file that only its owner can read.
-    let file = File::create(path).map_err(Error::io("create", path))?;
-    let permissions = file
-        .metadata()
-        .map_err(Error::io("create", path))?
-        .permissions();
-    safetensors::serialize_to_file(views, Some(metadata), path).map_err(|error| match error {
+    let unfinished = Unfinished::new(path).map_err(Error::io("create", path))?;
+    let written = safetensors::serialize_to_file(views, Some(metadata), unfinished.path());
+    written.map_err(|error| match error {
         SafeTensorError::IoError(error) => Error::io("write", path)(error),
         other => unreachable!("names are unique and shapes fit: {other}"),
     })?;
-    fs::set_permissions(path, permissions).map_err(Error::io("write", path))?;
+    unfinished.finish().map_err(Error::io("write", path))?;
     let mut file = File::open(path).map_err(Error::io("open", path))?;
-    file.sync_all().map_err(Error::io("flush", path))?;
     sha256_of(&mut file).map_err(Error::io("read", path))
-}
-
-/// Writes a file that survives a crash after this function returns.
-pub(super) fn write_flushed(path: &Path, bytes: &[u8]) -> Result<(), Error> {
-    let mut file = File::create(path).map_err(Error::io("create", path))?;
-    file.write_all(bytes).map_err(Error::io("write", path))?;
-    file.sync_all().map_err(Error::io("flush", path))
 }
 
 /// Reads the optimizer's running means in the order of `infos`; empty for frozen parameters.

@@ -390,11 +390,12 @@ pub(crate) fn validate(config: &Config, recipe: &RecipeInfo) -> Result<(), Inval
         "false, as `optim.offload` is \"device\": ranks share states in main memory",
     )?;
     let name = &config.run.name;
-    let plain = !name.contains(['/', '\\']) && !name.starts_with('.');
+    let is_separator = |c: char| c.is_control() || matches!(c, '/' | '\\');
+    let plain = !name.contains(is_separator) && !name.starts_with('.');
     require(
         plain,
         "run.name",
         format!("\"{name}\""),
-        "a plain folder name",
+        "a plain folder name without control characters",
     )
 }

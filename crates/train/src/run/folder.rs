@@ -5,7 +5,7 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use kinegrad_data::file::lock_file;
+use kinegrad_data::file::regular;
 
 use crate::checkpoint::Checkpoints;
 use crate::config::{self, Config};
@@ -13,7 +13,6 @@ use crate::error::Error;
 use crate::telemetry;
 
 const CONFIG: &str = "config.toml";
-const UNFINISHED_CONFIG: &str = ".writing-config.toml";
 const LOCK: &str = "lock";
 
 /// Folder of the samples at a run's end.
@@ -93,10 +92,9 @@ pub(super) fn must_be_unused(folder: &Path) -> Result<(), Error> {
 
 /// Replaces the run's `config.toml` in one step.
 pub(super) fn write_config(folder: &Path, config: &Config) -> Result<(), Error> {
-    let temporary = folder.join(UNFINISHED_CONFIG);
-    fs::write(&temporary, config::to_toml(config)).map_err(Error::io("write", &temporary))?;
     let target = folder.join(CONFIG);
-    fs::rename(&temporary, &target).map_err(Error::io("rename", &temporary))
+    let written = kinegrad_output::write(&target, config::to_toml(config).as_bytes());
+    written.map_err(Error::io("write", &target))
 }
 
 /// Removes a file, or a folder with its contents, if it exists.
@@ -124,7 +122,9 @@ pub(super) fn exists_already(name: &str, folder: &Path) -> Error {
 
 /// True if a process has the run's lock, for training or sampling.
 pub fn is_in_use(folder: &Path) -> bool {
-    let Ok(file) = File::open(folder.join(LOCK)) else {
+    let path = folder.join(LOCK);
+    // Opening a pipe would wait.
+    let Ok(file) = regular(&path).and_then(|_| File::open(path)) else {
         return false;
     };
     // With a shared lock, several processes can check at a time.
@@ -134,7 +134,7 @@ pub fn is_in_use(folder: &Path) -> bool {
 /// Takes the run's lock, which is released on drop and when the process ends.
 pub(super) fn lock(folder: &Path) -> Result<Arc<File>, Error> {
     let path = folder.join(LOCK);
-    let file = lock_file(&path).map_err(Error::io("open", &path))?;
+    let file = kinegrad_output::lock(&path).map_err(Error::io("open", &path))?;
     match file.try_lock() {
         Ok(()) => Ok(Arc::new(file)),
         Err(TryLockError::WouldBlock) => Err(Error::usage(

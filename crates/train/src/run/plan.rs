@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
+use kinegrad_output::path_text;
 use serde::Serialize;
 
 use crate::checkpoint::Checkpoint;
@@ -28,6 +29,7 @@ pub struct Plan {
     /// Name of the run.
     pub run: String,
     /// Its folder.
+    #[serde(serialize_with = "path_text")]
     pub folder: PathBuf,
     /// Its recipe.
     pub recipe: String,

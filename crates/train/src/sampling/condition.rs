@@ -4,6 +4,7 @@ use std::fmt;
 use std::path::PathBuf;
 
 use kinegrad_motion::goal::Goal;
+use kinegrad_output::path_text;
 use serde::de::{Deserializer, MapAccess, Visitor};
 use serde::ser::{SerializeMap, Serializer};
 use serde::{Deserialize, Serialize};
@@ -29,10 +30,11 @@ pub enum Condition {
     /// A number of held-out items of the run's dataset, from the first on.
     HeldOut(usize),
     /// A file of audio features.
-    AudioFeatures(PathBuf),
+    AudioFeatures(#[serde(serialize_with = "path_text")] PathBuf),
     /// A song.
     Song {
         /// Its file.
+        #[serde(serialize_with = "path_text")]
         file: PathBuf,
         /// Position in the song at which the motion starts, seconds.
         start: f64,
@@ -47,19 +49,23 @@ pub enum Condition {
         /// The text, in words.
         text: String,
         /// Folder of the text encoder, for models that take embeddings.
-        #[serde(default, skip_serializing_if = "Option::is_none")]
+        #[serde(
+            default,
+            skip_serializing_if = "Option::is_none",
+            serialize_with = "path_text"
+        )]
         text_encoder: Option<PathBuf>,
     },
     /// The embedding of a text, `FILE#KEY`.
     TextEmbedding(String),
     /// A file of texts over time.
-    Prompts(PathBuf),
+    Prompts(#[serde(serialize_with = "path_text")] PathBuf),
     /// Position control of the root.
     Goal(GoalCondition),
     /// A trajectory model that generates the ground path in a first stage.
     Trajectory(TrajectoryCondition),
     /// A file of joints that the motion continues.
-    History(PathBuf),
+    History(#[serde(serialize_with = "path_text")] PathBuf),
     /// A path over the ground.
     Path(PathFile),
     /// Frames of another motion that the sample contains unchanged.
@@ -105,6 +111,7 @@ impl<'de> Deserialize<'de> for OtherCondition {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct GoalCondition {
     /// The file, as given.
+    #[serde(serialize_with = "path_text")]
     pub file: PathBuf,
     /// The goal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -118,6 +125,7 @@ pub struct GoalCondition {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct TrajectoryCondition {
     /// Its folder.
+    #[serde(serialize_with = "path_text")]
     pub checkpoint: PathBuf,
     /// The checkpoint itself, in a request.
     #[serde(skip)]
@@ -144,6 +152,7 @@ impl PartialEq for TrajectoryCondition {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PathFile {
     /// The file.
+    #[serde(serialize_with = "path_text")]
     pub file: PathBuf,
     /// Meters per unit of a drawing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -154,6 +163,7 @@ pub struct PathFile {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct KnownFramesCondition {
     /// The motion's file.
+    #[serde(serialize_with = "path_text")]
     pub motion: PathBuf,
     /// Start and end of each range, ascending and disjoint; empty for the last frames.
     pub frames: Vec<[usize; 2]>,

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use kinegrad_diffusion::SamplerConfig;
 use kinegrad_motion::path::{PathPlan, PathReport};
 use kinegrad_motion::postprocess::PostProcessConfig;
+use kinegrad_output::path_text;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -21,6 +22,7 @@ pub struct Record {
     /// Name of the run.
     pub run: String,
     /// The checkpoint's folder.
+    #[serde(serialize_with = "path_text")]
     pub checkpoint: PathBuf,
     /// Steps it was trained for.
     pub step: u64,
@@ -99,6 +101,7 @@ pub struct CompositionRecord {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PathRecord {
     /// Its file.
+    #[serde(serialize_with = "path_text")]
     pub file: PathBuf,
     /// The contents of the file.
     pub content: PathPlan,
@@ -133,6 +136,7 @@ pub struct BatchRecord {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GoalRecord {
     /// Its path.
+    #[serde(serialize_with = "path_text")]
     pub file: PathBuf,
     /// SHA-256 of its contents.
     pub sha256: String,

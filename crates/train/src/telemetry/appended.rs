@@ -1,4 +1,4 @@
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -17,7 +17,7 @@ pub(super) struct Appended {
 impl Appended {
     /// Opens or creates the file at `path`.
     pub fn open(path: &Path) -> Result<Self, Error> {
-        let file = OpenOptions::new().create(true).append(true).open(path);
+        let file = kinegrad_output::append(path);
         Ok(Self {
             file: file.map_err(Error::io("open", path))?,
             path: path.to_path_buf(),

@@ -1,9 +1,9 @@
 //! The files of reports: one for each combination of settings.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 
+use kinegrad_data::file::read_text;
 use kinegrad_train::checkpoint::Weights;
 use kinegrad_train::evaluation::Evaluated;
 use kinegrad_train::{Error, TrainedModel};
@@ -139,7 +139,7 @@ impl Reports {
     pub fn make(&self, overwrite: bool) -> Result<(), Error> {
         folder::make(&self.folder)?;
         let path = self.path("json");
-        let Ok(text) = fs::read_to_string(&path) else {
+        let Ok(text) = read_text(&path) else {
             return Ok(());
         };
         let found: Value = serde_json::from_str(&text).unwrap_or_default();
@@ -159,11 +159,7 @@ impl Reports {
         ];
         for (ending, text) in files {
             let path = self.path(ending);
-            // After a crash, the former report remains.
-            let temporary = self.path("partial");
-            fs::write(&temporary, text)
-                .and_then(|()| fs::rename(&temporary, &path))
-                .map_err(Error::io("write", &path))?;
+            kinegrad_output::write(&path, text.as_bytes()).map_err(Error::io("write", &path))?;
         }
         Ok(format!("{}, .csv", self.path("json").display()))
     }

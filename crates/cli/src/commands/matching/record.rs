@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use kinegrad_matching::{
     Adaptation, Made, Measures, Novelty, Preset, Quality, Run, Seam, Settings, Sliding,
 };
+use kinegrad_output::path_text;
 use kinegrad_settings::counted;
 use serde::Serialize;
 
@@ -17,10 +18,11 @@ const SHAKING: f64 = 1.3;
 #[derive(Serialize)]
 pub struct Record {
     kinegrad: &'static str,
+    #[serde(serialize_with = "path_text")]
     examples: Vec<PathBuf>,
     /// Frames of each example, at the rate of the motion.
     example_frames: Vec<usize>,
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none", serialize_with = "path_text")]
     content: Option<PathBuf>,
     seed: u64,
     preset: Preset,
@@ -34,7 +36,7 @@ pub struct Record {
     fps: f64,
     heading: bool,
     parts: Vec<PartRecord>,
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none", serialize_with = "path_text")]
     keyframes: Option<PathBuf>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     fixed: Vec<String>,

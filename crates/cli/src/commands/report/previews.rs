@@ -5,13 +5,14 @@ use kinegrad_report::page::{Block, Section};
 use kinegrad_report::viewer::Thumbnail;
 use kinegrad_train::run::PREVIEWS;
 
-use crate::io::{file_stem, files_in};
+use super::own_files;
+use crate::io::file_stem;
 use crate::runs::Run;
 
 /// The newest previews as moving thumbnails.
 pub fn section(run: &Run) -> Section {
     let mut section = Section::new("Previews");
-    let pages = files_in(&run.folder.join(PREVIEWS), &["html"]);
+    let pages = own_files(&run.folder, PREVIEWS, &["html"], &mut section);
     for page in pages.iter().rev() {
         let thumbnails = match read_text(page) {
             Ok(text) => Thumbnail::of_page(&text),

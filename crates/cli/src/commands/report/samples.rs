@@ -9,7 +9,8 @@ use kinegrad_report::viewer::Thumbnail;
 use kinegrad_train::run::SAMPLES;
 use kinegrad_train::{Error, Systems};
 
-use crate::io::{MotionArray, file_stem, files_in, is_companion};
+use super::own_files;
+use crate::io::{MotionArray, file_stem, is_companion};
 use crate::runs::Run;
 use crate::scene;
 
@@ -30,7 +31,7 @@ struct Sample {
 /// The samples in the run's folder.
 pub fn section(systems: Systems<'_>, run: &Run) -> Section {
     let mut section = Section::new("Samples");
-    let mut files = files_in(&run.folder.join(SAMPLES), &["npy"]);
+    let mut files = own_files(&run.folder, SAMPLES, &["npy"], &mut section);
     files.retain(|path| !is_companion(path));
     let mut samples = Vec::new();
     for path in files.iter().take(CHECKED) {

@@ -1,0 +1,193 @@
+//! Run folders and folders of motions from elsewhere: links in them are neither written through nor
+//! followed out of them.
+
+#![cfg(unix)]
+
+use std::fs;
+use std::os::unix::fs::symlink;
+use std::path::Path;
+
+use kinegrad_tests::sandbox::{SMALLEST, Sandbox};
+
+/// Neither validation nor samples.
+const PLAIN: &str = "--set validation.every_steps=0 --set sampling.count_at_end=0";
+
+const SECRET: &str = "-----BEGIN OPENSSH PRIVATE KEY-----";
+
+/// A run of two steps, and a file outside of it.
+fn sandbox() -> Sandbox {
+    let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
+    sandbox.write("c.toml", SMALLEST);
+    sandbox
+        .run(&format!("train c.toml --set train.max_steps=4 {PLAIN}"))
+        .succeeded();
+    sandbox.write("mine", SECRET);
+    sandbox
+}
+
+/// Replaces a file of the sandbox by a link to `mine`.
+fn link(sandbox: &Sandbox, name: &str) {
+    let path = sandbox.path(name);
+    fs::create_dir_all(path.parent().expect("a folder")).expect("folders");
+    let _ = fs::remove_file(&path);
+    symlink(sandbox.path("mine"), path).expect("a link");
+}
+
+fn is_mine(sandbox: &Sandbox) -> bool {
+    fs::read_to_string(sandbox.path("mine")).expect("a file") == SECRET
+}
+
+fn is_file(path: &Path) -> bool {
+    fs::symlink_metadata(path).is_ok_and(|found| found.is_file())
+}
+
+#[test]
+fn outputs_replace_links_and_leave_their_targets() {
+    let sandbox = sandbox();
+    let reports = "runs/smallest/reports";
+    for name in ["report.partial", "report.html", ".writing-config.toml"] {
+        link(&sandbox, &format!("runs/smallest/{name}"));
+    }
+    let stem = "eval-phrases=1-num_inference_steps=1";
+    for ending in ["partial", "csv"] {
+        link(&sandbox, &format!("{reports}/{stem}.{ending}"));
+    }
+    link(&sandbox, "notes.partial");
+    link(&sandbox, "losses.svg");
+    let plot = "plot runs/smallest --out losses.svg";
+    sandbox
+        .run(plot)
+        .failed(2, &["losses.svg exists already", "--overwrite"]);
+    for command in [
+        "report runs/smallest",
+        "report runs/smallest --out notes.html",
+        "eval runs/smallest --steps 1 --set evaluation.phrases=1",
+        &format!("{plot} --overwrite"),
+        &format!("train c.toml --resume --set train.max_steps=6 {PLAIN}"),
+    ] {
+        sandbox.run(command).succeeded();
+        assert!(is_mine(&sandbox), "{command}");
+    }
+    let csv = format!("{reports}/{stem}.csv");
+    for written in [
+        "runs/smallest/report.html",
+        "notes.html",
+        "losses.svg",
+        &csv,
+    ] {
+        assert!(is_file(&sandbox.path(written)), "{written}");
+    }
+    let left = sandbox.list("runs/smallest");
+    let unfinished =
+        |name: &String| name.starts_with(".writing-") && name != ".writing-config.toml";
+    assert!(!left.iter().any(unfinished), "{left:?}");
+}
+
+#[test]
+fn a_run_whose_logs_are_links_is_not_continued() {
+    let sandbox = sandbox();
+    let resume = &format!("train c.toml --resume --set train.max_steps=6 {PLAIN}");
+    let run = "runs/smallest";
+    for log in [
+        "metrics.jsonl",
+        "environment.jsonl",
+        "events.out.tfevents.kinegrad",
+        "lock",
+    ] {
+        let path = sandbox.path(format!("{run}/{log}"));
+        let kept = fs::read(&path).expect("a log");
+        link(&sandbox, &format!("{run}/{log}"));
+        let said = sandbox.run(resume);
+        assert!(matches!(said.code, Some(1 | 2)), "{log}: {said:?}");
+        assert!(said.stderr.contains(log), "{}", said.stderr);
+        assert!(said.stderr.contains("symbolic link"), "{}", said.stderr);
+        assert!(is_mine(&sandbox), "{log}");
+        fs::remove_file(&path).expect("removed");
+        fs::write(&path, kept).expect("written");
+    }
+    sandbox.run(resume).succeeded();
+}
+
+#[test]
+fn reports_contain_no_file_from_outside_of_the_run() {
+    let sandbox = sandbox();
+    let run = "runs/smallest";
+    for name in [
+        "reports/eval.json",
+        "reports/eval.csv",
+        "previews/step-00000004.html",
+    ] {
+        link(&sandbox, &format!("{run}/{name}"));
+    }
+    sandbox.write("runs/smallest/reports/own.json", "{\"own\": 1}");
+    let page = |name: &str| {
+        sandbox
+            .run(&format!("report runs/smallest --out {name}"))
+            .succeeded();
+        fs::read_to_string(sandbox.path(name)).expect("a page")
+    };
+    let shown = page("one.html");
+    assert!(!shown.contains("OPENSSH"), "the linked file");
+    for text in ["eval.json leads out of the run", "&quot;own&quot;"] {
+        assert!(shown.contains(text), "{text}");
+    }
+    link(&sandbox, "runs/smallest/config.toml");
+    let shown = page("two.html");
+    assert!(!shown.contains("OPENSSH"), "the linked config");
+    assert!(shown.contains("a link that leads out of the run"));
+    let listed = sandbox.run("runs").succeeded();
+    assert!(!listed.stderr.contains("OPENSSH"), "{}", listed.stderr);
+}
+
+#[test]
+fn reports_into_one_file_do_not_meet() {
+    let sandbox = sandbox();
+    let report = || {
+        let mut command = sandbox.command("report runs/smallest --out page.html".split(' '));
+        command
+            .stdout(std::process::Stdio::null())
+            .spawn()
+            .expect("a process")
+    };
+    for _ in 0..10 {
+        let all = [(); 4].map(|()| report());
+        for mut process in all {
+            assert!(process.wait().expect("an end").success());
+        }
+    }
+    let page = fs::read_to_string(sandbox.path("page.html")).expect("a page");
+    assert!(page.trim_end().ends_with("</html>"));
+    assert!(
+        !sandbox
+            .list(".")
+            .iter()
+            .any(|name| name.starts_with(".writing-"))
+    );
+}
+
+#[test]
+fn walks_follow_no_links_and_check_a_file_once() {
+    let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
+    sandbox
+        .run("data synth --phrases 2 --frames 40 --out set")
+        .succeeded();
+    symlink(sandbox.path("set"), sandbox.path("set/motion/loop")).expect("a link");
+    symlink(sandbox.path("set/motion"), sandbox.path("set/again")).expect("a link");
+    fs::create_dir(sandbox.path("outside")).expect("a folder");
+    let motion = sandbox.path("set/motion/synthetic_00000/trajectory.npy");
+    fs::copy(&motion, sandbox.path("outside/copy.npy")).expect("copied");
+    symlink(sandbox.path("outside"), sandbox.path("set/outside")).expect("a link");
+    symlink(&motion, sandbox.path("set/same.npy")).expect("a link");
+    let checked = sandbox
+        .run("check set --profile ccmotion --json")
+        .succeeded();
+    let report: serde_json::Value = serde_json::from_str(&checked.stdout).expect("JSON");
+    let files = report["files"].as_array().expect("files");
+    let paths: Vec<&str> = files
+        .iter()
+        .filter_map(|file| file["path"].as_str())
+        .collect();
+    let expected = [0, 1].map(|n| format!("set/motion/synthetic_0000{n}/trajectory.npy"));
+    assert_eq!(paths, expected);
+    sandbox.run("view set --out page.html").succeeded();
+}
