@@ -2,13 +2,14 @@
 
 use std::ffi::OsStr;
 use std::fs::File;
-use std::io::{self, Read, Seek, SeekFrom};
+use std::io::{self, Read, Seek};
 use std::path::Path;
 
 use symphonia::core::audio::GenericAudioBufferRef;
-use symphonia::core::codecs::audio::{AudioDecoder, AudioDecoderOptions};
+use symphonia::core::codecs::audio::{AudioCodecParameters, AudioDecoder, AudioDecoderOptions};
 use symphonia::core::errors::Error as StreamError;
 use symphonia::core::formats::probe::Hint;
+use symphonia::core::formats::well_known::FORMAT_ID_MP3;
 use symphonia::core::formats::{FormatOptions, FormatReader, Track, TrackType};
 use symphonia::core::io::{MediaSource, MediaSourceStream};
 use symphonia::core::meta::MetadataOptions;
@@ -16,7 +17,9 @@ use symphonia::core::packet::Packet;
 
 use crate::analysis::unusable_sample;
 use crate::guard::guarded;
+use crate::mpeg::{Frame, Frames};
 use crate::resample::Resampling;
+use crate::source::Source;
 use crate::{DecodeError, Error};
 
 /// Longest recording.
@@ -31,8 +34,8 @@ pub const LOWEST_RATE: u32 = 4000;
 /// Highest sample rate, in Hz.
 pub const HIGHEST_RATE: u32 = 768_000;
 
-/// Fewest missing seconds that [`Waveform::damage`] reports. The length of an MP3 without a length
-/// header is estimated from the file size, which includes tags.
+/// Fewest missing seconds that [`Waveform::damage`] reports. The headers of some encoders count a
+/// frame too many.
 const NOTICED_SECONDS: f64 = 0.1;
 
 /// A decoded recording.
@@ -49,9 +52,19 @@ pub struct Waveform {
     pub skipped_packets: usize,
     /// Seconds missing relative to the file's headers; 0 if the headers state no length.
     pub missing_seconds: f64,
+    /// True if the writer of a WAV file never stated its length, as in a recording that was broken
+    /// off or a file written into a pipe. All of the file is decoded.
+    pub is_length_unknown: bool,
 }
 
 impl Waveform {
+    /// A remark about how the recording was read.
+    pub fn note(&self) -> Option<&'static str> {
+        let note = "its header states no length, as of a recording that was broken off or written into \
+                    a pipe: it was read to the end of the file";
+        self.is_length_unknown.then_some(note)
+    }
+
     /// A description of lost parts of the recording.
     pub fn damage(&self) -> Option<String> {
         let packets = (self.skipped_packets > 0)
@@ -115,19 +128,20 @@ fn decode_source(
     reader: impl Read + Seek + Send + Sync,
     extension: Option<&str>,
 ) -> Result<Waveform, DecodeError> {
-    let source = Source::new(reader).map_err(unreadable)?;
-    if source.bytes == 0 {
+    let mut source = Source::new(reader).map_err(unreadable)?;
+    if source.length() == 0 {
         return Err(DecodeError::Empty);
     }
     let mut mono = Mono::default();
     // The format readers can panic on forged headers.
-    let read = guarded(|| mono.read(source, extension));
+    let read = guarded(|| mono.read(&mut source, extension));
     read.unwrap_or_else(|| Err(mono.corrupt("its sizes contradict each other")))?;
     Ok(Waveform {
         source_rate: mono.rate,
         source_channels: mono.channels,
         skipped_packets: mono.skipped_packets,
         missing_seconds: mono.missing_seconds(),
+        is_length_unknown: source.is_length_unknown,
         samples: mono.signal.map_or_else(Vec::new, Resampling::finish),
     })
 }
@@ -159,8 +173,8 @@ fn open_format<'s>(
         })
 }
 
-/// The first audio track with a known codec, and its decoder.
-fn open_track(format: &dyn FormatReader) -> Result<(&Track, Box<dyn AudioDecoder>), DecodeError> {
+/// The first audio track with a known codec, and its parameters.
+fn open_track(format: &dyn FormatReader) -> Result<(&Track, AudioCodecParameters), DecodeError> {
     let track = format
         .default_track(TrackType::Audio)
         .ok_or(DecodeError::NoAudioTrack)?;
@@ -172,12 +186,15 @@ fn open_track(format: &dyn FormatReader) -> Result<(&Track, Box<dyn AudioDecoder
     if let Some(rate) = parameters.sample_rate {
         check_rate(rate)?;
     }
-    let decoder = symphonia::default::get_codecs()
+    Ok((track, parameters.clone()))
+}
+
+fn decoder(parameters: &AudioCodecParameters) -> Result<Box<dyn AudioDecoder>, DecodeError> {
+    symphonia::default::get_codecs()
         .make_audio_decoder(parameters, &AudioDecoderOptions::default())
         .map_err(|e| DecodeError::UnsupportedCodec {
             reason: e.to_string(),
-        })?;
-    Ok((track, decoder))
+        })
 }
 
 fn check_rate(rate: u32) -> Result<(), DecodeError> {
@@ -211,15 +228,24 @@ impl Mono {
     /// Reads the audio track to its end.
     fn read(
         &mut self,
-        source: impl MediaSource,
+        source: &mut Source<impl Read + Seek + Send + Sync>,
         extension: Option<&str>,
     ) -> Result<(), DecodeError> {
-        let mut format = open_format(source, extension)?;
-        let (track, mut decoder) = open_track(format.as_ref())?;
+        let mut format = open_format(&mut *source, extension)?;
+        let is_mp3 = format.format_info().format == FORMAT_ID_MP3;
+        if is_mp3 {
+            // Where it can seek, the reader estimates a length and cuts the music there.
+            drop(format);
+            source.restart_as_stream().map_err(unreadable)?;
+            format = open_format(source, extension)?;
+        }
+        let (track, parameters) = open_track(format.as_ref())?;
+        let mut decoder = self::decoder(&parameters)?;
         self.promised = track.num_frames;
+        let mut frames = is_mp3.then(|| Frames::new(track.num_frames, track.padding));
         let track = track.id;
         loop {
-            let packet = match format.next_packet() {
+            let mut packet = match format.next_packet() {
                 Ok(Some(packet)) => packet,
                 Ok(None) => break,
                 Err(StreamError::IoError(e)) if e.kind() == io::ErrorKind::UnexpectedEof => {
@@ -230,6 +256,13 @@ impl Mono {
             };
             if packet.track_id != track {
                 continue;
+            }
+            let frame = frames.as_mut().map(|frames| frames.next(&mut packet));
+            match frame.unwrap_or(Frame::Decode) {
+                Frame::Decode => {}
+                Frame::Restart => decoder = self::decoder(&parameters)?,
+                Frame::Drop => continue,
+                Frame::OtherRate(after) => return Err(self.other_rate(after)),
             }
             match decoder.decode(&packet) {
                 Ok(decoded) => self.append(&decoded)?,
@@ -254,11 +287,7 @@ impl Mono {
             check_rate(rate)?;
             (self.rate, self.channels) = (rate, channels);
         } else if self.rate != rate {
-            return Err(DecodeError::RateChanges {
-                second: self.seconds(),
-                before: self.rate,
-                after: rate,
-            });
+            return Err(self.other_rate(rate));
         }
         let start = self.received();
         self.check_length(decoded.frames())?;
@@ -310,6 +339,14 @@ impl Mono {
         Ok(())
     }
 
+    fn other_rate(&self, after: u32) -> DecodeError {
+        DecodeError::RateChanges {
+            second: self.seconds(),
+            before: self.rate,
+            after,
+        }
+    }
+
     fn out_of_memory(&self) -> DecodeError {
         DecodeError::Memory {
             second: self.seconds(),
@@ -344,42 +381,6 @@ impl Mono {
 
     fn seconds(&self) -> f64 {
         self.received() as f64 / f64::from(self.rate.max(1))
-    }
-}
-
-/// A reader whose length is known.
-struct Source<R> {
-    reader: R,
-    bytes: u64,
-}
-
-impl<R: Read + Seek> Source<R> {
-    fn new(mut reader: R) -> io::Result<Self> {
-        let bytes = reader.seek(SeekFrom::End(0))?;
-        reader.seek(SeekFrom::Start(0))?;
-        Ok(Self { reader, bytes })
-    }
-}
-
-impl<R: Read> Read for Source<R> {
-    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        self.reader.read(buffer)
-    }
-}
-
-impl<R: Seek> Seek for Source<R> {
-    fn seek(&mut self, position: SeekFrom) -> io::Result<u64> {
-        self.reader.seek(position)
-    }
-}
-
-impl<R: Read + Seek + Send + Sync> MediaSource for Source<R> {
-    fn is_seekable(&self) -> bool {
-        true
-    }
-
-    fn byte_len(&self) -> Option<u64> {
-        Some(self.bytes)
     }
 }
 

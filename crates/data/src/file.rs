@@ -43,11 +43,35 @@ fn is_descriptor(path: &Path) -> bool {
         .any(|open| path.starts_with(open))
 }
 
-/// Reads the UTF-8 text of the file at `path`. Fails as [`read_file`] with [`MAX_TEXT_BYTES`], and
-/// for text in another encoding.
+/// Reads the UTF-8 or UTF-16 text of the file at `path`, without a byte order mark. Fails as
+/// [`read_file`] with [`MAX_TEXT_BYTES`], and for text in another encoding.
 pub fn read_text(path: &Path) -> io::Result<String> {
     let bytes = read_file(path, MAX_TEXT_BYTES)?;
-    String::from_utf8(bytes).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))
+    let text = utf_16(&bytes).map_or_else(|| String::from_utf8(bytes), Ok);
+    let text = text.map_err(|error| {
+        let place = error.utf8_error().valid_up_to();
+        let problem = format!("byte {place} is not UTF-8 text: save the file in UTF-8");
+        io::Error::new(io::ErrorKind::InvalidData, problem)
+    })?;
+    Ok(text
+        .strip_prefix('\u{feff}')
+        .map(str::to_owned)
+        .unwrap_or(text))
+}
+
+/// The text of UTF-16 bytes, which begin with a byte order mark or a letter of ASCII; none for
+/// other bytes. Malformed pairs become replacement characters.
+pub fn utf_16(bytes: &[u8]) -> Option<String> {
+    let word: fn([u8; 2]) -> u16 = match bytes {
+        [0xff, 0xfe, ..] => u16::from_le_bytes,
+        [0xfe, 0xff, ..] => u16::from_be_bytes,
+        [1..=0x7f, 0, 1..=0x7f, 0, ..] => u16::from_le_bytes,
+        [0, 1..=0x7f, 0, 1..=0x7f, ..] => u16::from_be_bytes,
+        _ => return None,
+    };
+    let (pairs, _) = bytes.as_chunks::<2>();
+    let words: Vec<u16> = pairs.iter().map(|pair| word(*pair)).collect();
+    Some(String::from_utf16_lossy(&words))
 }
 
 /// True if `path` lies in the folder `root` after links are followed. Fails if either is missing.
@@ -82,6 +106,31 @@ mod tests {
         assert_eq!(error, "4 bytes found, at most 3 are read");
         let error = read_file(folder.path(), 4).expect_err("a folder");
         assert_eq!(error.kind(), io::ErrorKind::IsADirectory);
+    }
+
+    #[test]
+    fn texts_are_read_in_the_encodings_of_windows() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("file");
+        let text = "[train]\nname = \"tänzerin\"\n";
+        let marked = format!("\u{feff}{text}");
+        let utf_16 = |text: &str, bytes: fn(u16) -> [u8; 2]| -> Vec<u8> {
+            text.encode_utf16().flat_map(bytes).collect()
+        };
+        for bytes in [
+            text.as_bytes().to_vec(),
+            marked.as_bytes().to_vec(),
+            utf_16(&marked, u16::to_le_bytes),
+            utf_16(&marked, u16::to_be_bytes),
+            utf_16(text, u16::to_le_bytes),
+            utf_16(text, u16::to_be_bytes),
+        ] {
+            fs::write(&path, &bytes).expect("written");
+            assert_eq!(read_text(&path).expect("text"), text, "{bytes:?}");
+        }
+        fs::write(&path, b"name = \"t\xe4nzerin\"").expect("written");
+        let error = read_text(&path).expect_err("Latin-1").to_string();
+        assert_eq!(error, "byte 9 is not UTF-8 text: save the file in UTF-8");
     }
 
     #[cfg(unix)]

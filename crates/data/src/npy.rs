@@ -115,22 +115,37 @@ pub(crate) fn parse_onto(
         (true, [_, _, ..]) if header.length > 0 => {
             let mut stored = Vec::new();
             decode(&mut stored, data, double);
-            values.extend((0..stored.len()).map(|at| stored[column_major(at, &shape)]));
+            values.extend(column_major(&shape).take(stored.len()).map(|at| stored[at]));
         }
         _ => decode(values, data, double),
     }
     Ok(shape)
 }
 
-/// Index in Fortran order of element `at` of an array in C order.
-fn column_major(mut at: usize, shape: &[usize]) -> usize {
-    let mut place = 0;
-    for axis in (0..shape.len()).rev() {
-        let stride: usize = shape[..axis].iter().product();
-        place += at % shape[axis] * stride;
-        at /= shape[axis];
-    }
-    place
+/// Indices in Fortran order of the elements of an array in C order, over and over.
+fn column_major(shape: &[usize]) -> impl Iterator<Item = usize> {
+    // Length and stride of each axis, and the index along it. Without axes of length 1, a step
+    // changes two indices on average.
+    let mut stride = 1;
+    let axes = shape.iter().map(|&length| {
+        stride *= length;
+        (length, stride / length, 0)
+    });
+    let mut axes: Vec<(usize, usize, usize)> = axes.filter(|(length, ..)| *length > 1).collect();
+    let mut next = 0;
+    std::iter::repeat_with(move || {
+        let place = next;
+        for (length, stride, index) in axes.iter_mut().rev() {
+            *index += 1;
+            next += *stride;
+            if *index < *length {
+                break;
+            }
+            next -= *length * *stride;
+            *index = 0;
+        }
+        place
+    })
 }
 
 /// Appends the little-endian numbers of `data`.

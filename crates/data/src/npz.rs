@@ -89,7 +89,7 @@ pub fn write_features(path: &Path, features: &AudioFeatures) -> Result<(), Error
     atomic::write(path, &features_bytes(features))
 }
 
-/// Writes a song's `stacked` features, `tempo` `[1]` (beats per minute) and `beat_times` `[beats]`
+/// Writes a song's `stacked` features, `tempo` (beats per minute) and `beat_times` `[beats]`
 /// (seconds) atomically.
 pub fn write_song_features(
     path: &Path,
@@ -98,7 +98,11 @@ pub fn write_song_features(
 ) -> Result<(), Error> {
     let beats = features.beats();
     let times: Vec<f32> = beats.times().into_iter().map(|time| time as f32).collect();
-    let beside = [("tempo", &[beats.tempo as f32][..]), ("beat_times", &times)];
+    let tempo = [beats.tempo as f32];
+    let beside = [
+        ("tempo", vec![], &tempo[..]),
+        ("beat_times", vec![times.len()], &times),
+    ];
     atomic::write(path, &archive(stacked, &beside, METHOD))
 }
 
@@ -109,7 +113,7 @@ pub fn features_bytes(features: &AudioFeatures) -> Vec<u8> {
 
 fn archive(
     features: &AudioFeatures,
-    beside: &[(&str, &[f32])],
+    beside: &[(&str, Vec<usize>, &[f32])],
     method: CompressionMethod,
 ) -> Vec<u8> {
     let frames = features.frames();
@@ -122,10 +126,7 @@ fn archive(
         1 => (name, vec![frames], values),
         _ => (name, vec![rows, frames], values),
     });
-    let beside = beside
-        .iter()
-        .map(|&(name, values)| (name, vec![values.len()], values));
-    let mut members = members.chain(beside);
+    let mut members = members.chain(beside.iter().cloned());
     let written = members.try_for_each(|(name, shape, values)| {
         archive.start_file(format!("{name}.npy"), options)?;
         archive.write_all(&npy::array_bytes(&shape, values))

@@ -68,8 +68,9 @@ pub struct MotionMatrix {
     ancestors: Vec<usize>,
     /// Position of the unrotated ancestors in a new motion.
     base: [f64; 3],
+    /// The joints whose position changes, in order.
     translated: Vec<usize>,
-    /// Indices of the joints whose contact is matched.
+    /// Indices of the joints whose contact is matched, in order.
     pub(crate) contacts: Vec<usize>,
     /// Heading of the first frame of the first example, in radians; none in world coordinates.
     heading: Option<f64>,
@@ -99,6 +100,8 @@ impl MotionMatrix {
             return Err(Error::file("no example", problem, "name a BVH file"));
         };
         let (_, frame_time) = thinning(&first.bvh);
+        let mut contacts = options.contacts;
+        contacts.sort_unstable();
         let mut layout = Self {
             file: first.file.clone(),
             bvh: first.bvh.clone(),
@@ -112,7 +115,7 @@ impl MotionMatrix {
             ancestors: Vec::new(),
             base: [0.0; 3],
             translated: Vec::new(),
-            contacts: options.contacts,
+            contacts,
             heading: None,
             start: [0.0; 3],
         };
@@ -142,8 +145,7 @@ impl MotionMatrix {
             layout.must_have_upright_root(motions(), "option `heading`")?;
         }
         let shifts = |joint: &usize| ranges[*joint] * layout.scale > STILL;
-        let carries =
-            |joint: &usize| *joint == layout.root_joint || layout.ancestors.contains(joint);
+        let carries = |joint: &usize| *joint == layout.root_joint || layout.is_ancestor(*joint);
         let translated = (0..ranges.len()).filter(|joint| shifts(joint) && !carries(joint));
         layout.translated = translated.collect();
         layout.heading = options.heading.then_some(0.0);
@@ -154,6 +156,12 @@ impl MotionMatrix {
     /// True if motions are relative to the heading.
     pub fn is_relative(&self) -> bool {
         self.heading.is_some()
+    }
+
+    /// True for the joints above the root joint that have no other descendants. They are the first
+    /// joints of the file.
+    fn is_ancestor(&self, joint: usize) -> bool {
+        joint < self.ancestors.len()
     }
 
     /// The joints, in file order.
@@ -177,11 +185,11 @@ impl MotionMatrix {
     pub fn channels_of(&self, joint: usize) -> Vec<usize> {
         let mut channels: Vec<usize> = self.rotation_of(joint).collect();
         let places = ROTATION * self.joints().len();
-        if let Some(place) = self.translated.iter().position(|&other| other == joint) {
+        if let Ok(place) = self.translated.binary_search(&joint) {
             channels.extend(places + 3 * place..places + 3 * place + 3);
         }
         let contacts = places + 3 * self.translated.len();
-        if let Some(place) = self.contacts.iter().position(|&contact| contact == joint) {
+        if let Ok(place) = self.contacts.binary_search(&joint) {
             let first = contacts + ROTATION * place;
             channels.extend(first..first + ROTATION);
         }

@@ -1,5 +1,7 @@
 //! Body parts, each matched by itself.
 
+use std::collections::{HashMap, HashSet};
+
 use kinegrad_capture::{Joint, bare_name};
 use kinegrad_motion::vector::length;
 use kinegrad_settings::read_toml;
@@ -9,6 +11,9 @@ use crate::{Channels, Error, MotionMatrix};
 
 /// A bone chain shorter than this part of the longest is not a limb: fingers, ears, a tail.
 const LIMB: f64 = 0.25;
+
+/// Most parts of a file that share a joint. Each part is matched by itself.
+const MOST_PARTS: usize = 16;
 
 /// A body part.
 #[derive(Clone, Debug, PartialEq)]
@@ -77,18 +82,19 @@ impl Part {
         let joints = layout.joints();
         let reach = reach(joints);
         let long = |joint: usize| length(joints[joint].offset) + reach[joint] >= LIMB * reach[0];
-        let children = |parent: usize| {
-            (parent + 1..joints.len()).filter(move |&joint| joints[joint].parent == Some(parent))
-        };
-        let is_branch = |joint| children(joint).filter(|&child| long(child)).count() > 1;
-        let branches: Vec<bool> = (0..joints.len()).map(is_branch).collect();
+        let parent_of = |joint: usize| joints[joint].parent.expect("only the root has none");
+        let mut long_children = vec![0; joints.len()];
+        for joint in (1..joints.len()).filter(|&joint| long(joint)) {
+            long_children[parent_of(joint)] += 1;
+        }
+        let is_branch = |joint: usize| long_children[joint] > 1;
+        let branches = or_below(joints, (0..joints.len()).map(is_branch).collect());
         let mut limbs = Vec::new();
         let mut in_trunk = vec![true; joints.len()];
         for joint in 1..joints.len() {
-            let parent = joints[joint].parent.expect("only the root has none");
-            let subtree = subtree(joints, joint);
-            let is_limb = branches[parent] && long(joint);
-            if is_limb && !subtree.iter().any(|&below| branches[below]) {
+            let parent = parent_of(joint);
+            if is_branch(parent) && long(joint) && !branches[joint] {
+                let subtree: Vec<usize> = subtree(joints, joint).collect();
                 subtree.iter().for_each(|&below| in_trunk[below] = false);
                 limbs.push(Self {
                     name: bare_name(&joints[joint].name).to_string(),
@@ -140,23 +146,35 @@ impl Part {
             return Err(Error::file(file, "has no `[[part]]`", hint));
         }
         let mut parts: Vec<Self> = Vec::with_capacity(parsed.part.len());
+        let mut names = HashSet::new();
+        let by_name = by_name(layout.joints());
+        let mut uses = vec![0; layout.joints().len()];
         for entry in parsed.part {
-            if parts.iter().any(|part| part.name == entry.name) {
+            if !names.insert(entry.name.clone()) {
                 let problem = format!("two parts are called `{}`", entry.name);
                 return Err(Error::file(file, problem, hint));
             }
-            let mut joints = Vec::new();
-            for name in &entry.joints {
-                joints.push(joint(layout, name, file)?);
-            }
-            for name in &entry.below {
-                joints.extend(subtree(layout.joints(), joint(layout, name, file)?));
-            }
+            let joint = |name: &String| {
+                let found = by_name.get(name.as_str()).copied();
+                found.ok_or_else(|| no_joint(layout, name, file))
+            };
+            let mut joints: Vec<usize> =
+                entry.joints.iter().map(joint).collect::<Result<_, _>>()?;
+            let tops: Vec<usize> = entry.below.iter().map(joint).collect::<Result<_, _>>()?;
+            joints.extend(subtrees(layout.joints(), tops));
             joints.sort_unstable();
             joints.dedup();
             if joints.is_empty() {
                 let problem = format!("part `{}` has no joints", entry.name);
                 return Err(Error::file(file, problem, hint));
+            }
+            for &joint in &joints {
+                uses[joint] += 1;
+                if uses[joint] > MOST_PARTS {
+                    let joint = &layout.joints()[joint].name;
+                    let problem = format!("joint `{joint}` is in more than {MOST_PARTS} parts");
+                    return Err(Error::file(file, problem, hint));
+                }
             }
             parts.push(Self {
                 name: entry.name,
@@ -166,11 +184,10 @@ impl Part {
         }
         let mut rest = Self::body(layout);
         rest.name = "rest".to_string();
-        let taken = |joint: &usize| parts.iter().any(|part: &Self| part.joints.contains(joint));
-        rest.joints.retain(|joint| !taken(joint));
+        rest.joints.retain(|&joint| uses[joint] == 0);
         rest.root_trajectory = parts.iter().all(|part| !part.root_trajectory);
         if !rest.joints.is_empty() {
-            if parts.iter().any(|part| part.name == rest.name) {
+            if names.contains(&rest.name) {
                 let problem =
                     "a part is called `rest`, and joints are left over that are called so";
                 return Err(Error::file(file, problem, hint));
@@ -210,22 +227,19 @@ impl Part {
                 let joint = bare_name(&joints[joint].name).to_lowercase();
                 words.split(' ').any(|word| joint.contains(word))
             };
+            let is_above = COMMON.map(|(common, words, _)| {
+                let of_words: Vec<bool> = (0..joints.len()).map(|j| called(j, words)).collect();
+                (common == name, or_below(joints, of_words))
+            });
             // A joint called hip is the joint of a thigh or of the whole body.
             let thigh = |hip: usize| {
-                let below = subtree(joints, hip);
-                let only_legs = |(other, words, _): &(&str, &str, bool)| {
-                    *other == name || !below.iter().any(|&joint| called(joint, words))
-                };
-                name == "legs"
-                    && called(hip, "hip")
-                    && below.iter().any(|&joint| called(joint, words))
-                    && COMMON.iter().all(only_legs)
+                let only_legs = |(own, above): &(bool, Vec<bool>)| above[hip] == *own;
+                name == "legs" && called(hip, "hip") && is_above.iter().all(only_legs)
             };
-            let mut found: Vec<usize> = (1..joints.len())
+            let tops = (1..joints.len())
                 .filter(|&joint| joint != layout.root_joint)
-                .filter(|&joint| called(joint, words) || thigh(joint))
-                .flat_map(|joint| subtree(joints, joint))
-                .collect();
+                .filter(|&joint| called(joint, words) || thigh(joint));
+            let mut found = subtrees(joints, tops);
             if !found.is_empty() {
                 // The joint above the legs rotates the legs, so it belongs to this part.
                 found.extend(has_root.then(|| layout.root_joint));
@@ -235,7 +249,7 @@ impl Part {
             }
         }
         if let Some(joint) = find(joints, name) {
-            let below = subtree(joints, joint);
+            let below: Vec<usize> = subtree(joints, joint).collect();
             let has_root = below.contains(&layout.root_joint);
             return Ok(of(below, has_root));
         }
@@ -261,29 +275,53 @@ pub fn feet(joints: &[Joint]) -> Vec<usize> {
     (0..joints.len()).filter(is_foot).collect()
 }
 
-fn joint(layout: &MotionMatrix, name: &str, file: &str) -> Result<usize, Error> {
-    find(layout.joints(), name).ok_or_else(|| {
-        let names = layout.joints().iter().map(|joint| bare_name(&joint.name));
-        let names: Vec<&str> = names.collect();
-        let problem = format!("there is no joint `{name}`");
-        Error::file(file, problem, format!("joints: {}", names.join(", ")))
-    })
+/// The error for an unknown joint of a file.
+fn no_joint(layout: &MotionMatrix, name: &str, file: &str) -> Error {
+    let names = layout.joints().iter().map(|joint| bare_name(&joint.name));
+    let names: Vec<&str> = names.collect();
+    let problem = format!("there is no joint `{name}`");
+    Error::file(file, problem, format!("joints: {}", names.join(", ")))
 }
 
 /// The joint of a name, with or without its namespace.
 fn find(joints: &[Joint], name: &str) -> Option<usize> {
-    let mut joints = joints.iter();
-    joints.position(|joint| joint.name == name || bare_name(&joint.name) == name)
+    by_name(joints).get(name).copied()
 }
 
-/// A joint and its descendants.
-fn subtree(joints: &[Joint], top: usize) -> Vec<usize> {
-    let mut inside = vec![false; joints.len()];
-    inside[top] = true;
-    for joint in top + 1..joints.len() {
-        inside[joint] = joints[joint].parent.is_some_and(|parent| inside[parent]);
+/// The first joint of each name, with and without its namespace.
+fn by_name(joints: &[Joint]) -> HashMap<&str, usize> {
+    let mut found = HashMap::new();
+    for (index, joint) in joints.iter().enumerate() {
+        for name in [&joint.name, bare_name(&joint.name)] {
+            found.entry(name).or_insert(index);
+        }
     }
-    (top..joints.len()).filter(|&joint| inside[joint]).collect()
+    found
+}
+
+/// True for each joint for which, or for a descendant of which, `holds` is true.
+fn or_below(joints: &[Joint], mut holds: Vec<bool>) -> Vec<bool> {
+    for joint in (1..joints.len()).rev() {
+        let parent = joints[joint].parent.expect("only the root has none");
+        holds[parent] |= holds[joint];
+    }
+    holds
+}
+
+/// A joint and its descendants, which follow it in file order.
+fn subtree(joints: &[Joint], top: usize) -> impl Iterator<Item = usize> {
+    let is_below = move |joint: &usize| joints[*joint].parent.is_some_and(|parent| parent >= top);
+    std::iter::once(top).chain((top + 1..joints.len()).take_while(is_below))
+}
+
+/// Some joints and their descendants, in order.
+fn subtrees(joints: &[Joint], tops: impl IntoIterator<Item = usize>) -> Vec<usize> {
+    let mut inside = vec![false; joints.len()];
+    tops.into_iter().for_each(|top| inside[top] = true);
+    for (index, joint) in joints.iter().enumerate() {
+        inside[index] |= joint.parent.is_some_and(|parent| inside[parent]);
+    }
+    (0..joints.len()).filter(|&joint| inside[joint]).collect()
 }
 
 /// Length of the longest bone chain below each joint.
@@ -359,6 +397,58 @@ mod tests {
                 .to_string();
             assert!(error.contains(message), "{error}");
         }
+    }
+
+    /// The layout of a body of `count` joints, each the child of the one before if it is a chain,
+    /// and else of the root.
+    fn large(count: usize, is_chain: bool) -> MotionMatrix {
+        let channels = "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation";
+        let mut text = format!("HIERARCHY\nROOT hip0\n{{ OFFSET 0 0 0 {channels}\n");
+        for joint in 1..count {
+            text += &format!("JOINT hip{joint}\n{{ OFFSET 0 1 0 {channels}\n");
+            text += if is_chain { "" } else { "}\n" };
+        }
+        text += &"}\n".repeat(if is_chain { count } else { 1 });
+        text += "MOTION\nFrames: 2\nFrame Time: 0.1\n";
+        text += &("0 ".repeat(6 * count) + "\n");
+        text += &("1 ".repeat(6 * count) + "\n");
+        let bvh = Bvh::parse(text.as_bytes(), "large.bvh").unwrap();
+        let file = "large.bvh".to_owned();
+        let example = crate::Example { file, bvh };
+        MotionMatrix::new(&[example], MatrixOptions::default()).unwrap()
+    }
+
+    #[test]
+    fn large_bodies_take_one_step_for_each_joint() {
+        // By pairs of joints, these would take minutes.
+        for is_chain in [true, false] {
+            let count = 30_000;
+            let layout = large(count, is_chain);
+            let parts = Part::supported(&layout);
+            let joints = |parts: &[Part]| parts.iter().map(|part| part.joints.len()).sum::<usize>();
+            assert!(joints(&parts) >= count);
+            assert!(Part::named("legs", &parts, &layout, "fixed part").is_err());
+            let below: Vec<String> = (0..count).map(|joint| format!("'hip{joint}'")).collect();
+            let text = format!("[[part]]\nname = 'a'\nbelow = [{}]\n", below.join(", "));
+            let parts = Part::read(&text, "parts.toml", &layout).unwrap();
+            assert_eq!(joints(&parts), count);
+            assert_eq!(parts[0].channels(&layout).channels.len(), layout.channels());
+        }
+    }
+
+    #[test]
+    fn overlapping_parts_have_a_bound() {
+        let part = |name: usize| format!("[[part]]\nname = '{name}'\nbelow = ['Hips']\n");
+        let text: String = (0..16).map(part).collect();
+        assert_eq!(Part::read(&text, "parts.toml", &walk()).unwrap().len(), 17);
+        let text: String = (0..5000).map(part).collect();
+        let message = Part::read(&text, "parts.toml", &walk())
+            .unwrap_err()
+            .to_string();
+        assert!(
+            message.contains("joint `Hips` is in more than 16 parts"),
+            "{message}"
+        );
     }
 
     #[test]

@@ -33,6 +33,24 @@ pub enum ExportError {
         /// Number of its joints.
         joints: usize,
     },
+    /// The motion has too many pictures for a video or animated picture.
+    #[error(
+        "{}: {seconds:.0} s have {pictures} pictures, at most {} are written",
+        out.display(),
+        MOST_PICTURES
+    )]
+    #[diagnostic(help(
+        "give a shorter motion; if it is none, its frame rate is wrong: a BVH file states seconds for \
+         each frame, as `Frame Time: 0.033333`"
+    ))]
+    TooLong {
+        /// The file that was to be written.
+        out: PathBuf,
+        /// Length of the motion in seconds.
+        seconds: f64,
+        /// Number of pictures.
+        pictures: usize,
+    },
     /// Stopped by the caller.
     #[error("{}: interrupted, nothing is written", out.display())]
     Interrupted {
@@ -78,6 +96,9 @@ pub enum ExportError {
     },
 }
 
+/// Most pictures of a video or animated picture: a day at 30 a second.
+pub(crate) const MOST_PICTURES: usize = 24 * 3600 * 30;
+
 /// Called with the number of finished pictures and of all; returns true to stop.
 pub type Stop<'a> = &'a dyn Fn(usize, usize) -> bool;
 
@@ -88,6 +109,25 @@ impl ExportError {
             path: path.to_path_buf(),
             reason: reason.to_string(),
         }
+    }
+}
+
+/// Checks the number of pictures of a scene.
+///
+/// # Errors
+/// [`ExportError::TooLong`].
+pub(crate) fn check_pictures(
+    scene: &Scene,
+    pictures: usize,
+    out: &Path,
+) -> Result<(), ExportError> {
+    match pictures > MOST_PICTURES {
+        true => Err(ExportError::TooLong {
+            out: out.to_path_buf(),
+            seconds: scene.seconds(),
+            pictures,
+        }),
+        false => Ok(()),
     }
 }
 

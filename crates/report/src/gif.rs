@@ -23,10 +23,12 @@ const BESIDE: (u32, u32) = (320, 340);
 /// is called before each picture.
 ///
 /// # Errors
-/// The errors of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::Write`];
+/// The errors of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::TooLong`];
+/// [`ExportError::Write`];
 /// [`ExportError::Interrupted`] once `stop` returns true.
 pub fn write(scene: &Scene, out: &Path, stop: Stop<'_>) -> Result<(), ExportError> {
     export::check(scene, out)?;
+    export::check_pictures(scene, pictures(scene), out)?;
     let encoded = encode(scene, size(scene), stop).map_err(ExportError::write(out))?;
     let bytes = encoded.ok_or_else(|| ExportError::Interrupted {
         out: out.to_path_buf(),
@@ -47,10 +49,18 @@ pub(crate) fn size(scene: &Scene) -> (u32, u32) {
     }
 }
 
+fn fps(scene: &Scene) -> f64 {
+    (1.0 / scene.frame_seconds()).min(MOST_FPS)
+}
+
+/// Number of pictures of a scene.
+fn pictures(scene: &Scene) -> usize {
+    ((scene.seconds() * fps(scene) - 1e-6).ceil() as usize).max(1)
+}
+
 /// Time of each picture, and its delay in hundredths of a second.
 fn timing(scene: &Scene) -> Vec<(f64, u16)> {
-    let fps = (1.0 / scene.frame_seconds()).min(MOST_FPS);
-    let count = ((scene.seconds() * fps - 1e-6).ceil() as usize).max(1);
+    let (fps, count) = (fps(scene), pictures(scene));
     let hundredths = |moment: f64| (100.0 * moment).round() as u64;
     let ends = (1..=count).map(|k| hundredths((k as f64 / fps).min(scene.seconds())));
     let starts = (0..count).map(|k| k as f64 / fps);
@@ -235,6 +245,16 @@ mod tests {
         encode(scene, size, &|_, _| false)
             .unwrap()
             .expect("not stopped")
+    }
+
+    #[test]
+    fn a_slow_object_beside_a_fast_one_has_no_pictures_without_end() {
+        let mut slow = body(12);
+        slow.fps = 1e-7;
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("dance.gif");
+        let error = write(&scene(vec![body(12), slow]), &out, &|_, _| false).unwrap_err();
+        assert!(error.to_string().contains("at most 2592000"), "{error}");
     }
 
     #[test]

@@ -25,8 +25,8 @@ const LAST_LINES: usize = 4;
 /// Silence follows a song that is shorter than the motion. `stop` is called before each picture.
 ///
 /// # Errors
-/// The errors of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::NoEncoder`]
-/// without ffmpeg; [`ExportError::Encoder`] if ffmpeg fails; [`ExportError::Write`];
+/// The errors of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::TooLong`];
+/// [`ExportError::NoEncoder`] without ffmpeg; [`ExportError::Encoder`] if ffmpeg fails; [`ExportError::Write`];
 /// [`ExportError::Interrupted`] once `stop` returns true.
 pub fn write(scene: &Scene, out: &Path, stop: Stop<'_>) -> Result<(), ExportError> {
     write_by(OsStr::new(ENCODER), scene, out, stop)
@@ -53,6 +53,7 @@ fn no_encoder(out: &Path, program: &OsStr, reason: &std::io::Error) -> ExportErr
 /// [`write`] through another program with the same arguments.
 fn write_by(program: &OsStr, scene: &Scene, out: &Path, stop: Stop<'_>) -> Result<(), ExportError> {
     export::check(scene, out)?;
+    export::check_pictures(scene, pictures(scene), out)?;
     let film = Unfinished::new(out).map_err(ExportError::write(out))?;
     let music = scene.song.as_ref().map(|song| {
         let file = Unfinished::with(out, &song.bytes).map_err(ExportError::write(out))?;
@@ -62,6 +63,11 @@ fn write_by(program: &OsStr, scene: &Scene, out: &Path, stop: Stop<'_>) -> Resul
     let song = music.as_ref().map(|(song, file)| (*song, file.path()));
     encode(program, scene, song, film.path(), out, stop)?;
     film.finish().map_err(ExportError::write(out))
+}
+
+/// Number of pictures of a scene.
+fn pictures(scene: &Scene) -> usize {
+    ((scene.seconds() * f64::from(FPS)).round() as usize).max(1)
 }
 
 fn encode(
@@ -75,7 +81,7 @@ fn encode(
     let (width, height) = crate::gif::size(scene);
     let size = (SCALE * width, SCALE * height);
     let painter = Painter::new(scene, size, f64::from(SCALE));
-    let count = ((scene.seconds() * f64::from(FPS)).round() as usize).max(1);
+    let count = pictures(scene);
     let seconds = count as f64 / f64::from(FPS);
     let mut command = Command::new(program);
     command
@@ -242,6 +248,18 @@ mod tests {
         write_by(program.as_os_str(), &scene(false), &out, &|_, _| false)
             .unwrap_or_else(|e| panic!("{e}"));
         assert!(!fs::read_to_string(&out).unwrap().contains("-ss"));
+    }
+
+    #[test]
+    fn pictures_without_end_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("dance.mp4");
+        let mut slow = scene(true);
+        slow.objects[0].fps = 1e-6;
+        let program = stand_in(folder.path(), "cat > /dev/null");
+        let error = write_by(program.as_os_str(), &slow, &out, &|_, _| false).unwrap_err();
+        assert!(error.to_string().contains("at most 2592000"), "{error}");
+        assert_eq!(files(folder.path()), ["encoder"]);
     }
 
     #[test]

@@ -76,7 +76,8 @@ pub struct Document<'a> {
 
 impl<'a> Document<'a> {
     /// Parses the document in `text`; errors name `origin`, the document's file. Fails with
-    /// [`DocumentError::Syntax`], which names the line.
+    /// [`DocumentError::Syntax`], which names the line, and with [`DocumentError::Value`] for paths
+    /// whose backslashes were read as escapes, such as `"C:\temp"`.
     pub fn parse(text: &'a str, origin: &'a str) -> Result<Self, DocumentError> {
         let no_toml = |error: toml::de::Error| DocumentError::Syntax {
             place: error.span().map_or(origin.to_owned(), |span| {
@@ -91,16 +92,27 @@ impl<'a> Document<'a> {
                 .span()
                 .is_some_and(|span| has_backslash(text, span.start))
             {
-                true => "a path with backslashes stands in single quotes: 'C:\\Users\\me'",
+                true => BACKSLASHES,
                 false => "the file is TOML: tables in [brackets], `key = value` lines",
             },
         };
-        Ok(Self {
+        let document = Self {
             spans: DeTable::parse(text).map_err(no_toml)?,
             table: text.parse().map_err(no_toml)?,
             text,
             origin,
-        })
+        };
+        let broken = document.table.iter();
+        let mut broken = broken.filter_map(|(key, value)| broken_path(key.clone(), value));
+        match broken.next() {
+            None => Ok(document),
+            Some((key, path)) => Err(DocumentError::Value {
+                place: document.place(&key),
+                key,
+                message: format!("the path {path:?} has control characters where `\\` stood"),
+                hint: BACKSLASHES.to_owned(),
+            }),
+        }
     }
 
     /// File and line of a dotted key, or of the nearest key above it.
@@ -130,6 +142,28 @@ impl<'a> Document<'a> {
         }
     }
 }
+
+/// Key and value of the first text in `value` (at `key`) that begins with a drive and an escape.
+fn broken_path(key: String, value: &Value) -> Option<(String, &str)> {
+    match value {
+        Value::String(text) => {
+            let is_broken = matches!(text.as_bytes(), [drive, b':', 0..0x20, ..] if drive.is_ascii_alphabetic());
+            is_broken.then_some((key, text.as_str()))
+        }
+        Value::Array(values) => {
+            let mut values = values.iter().enumerate();
+            values.find_map(|(index, value)| broken_path(format!("{key}[{index}]"), value))
+        }
+        Value::Table(table) => {
+            let mut entries = table.iter();
+            entries.find_map(|(name, value)| broken_path(format!("{key}.{name}"), value))
+        }
+        _ => None,
+    }
+}
+
+/// The hint about paths of Windows.
+const BACKSLASHES: &str = "a path with backslashes stands in single quotes: 'C:\\Users\\me'";
 
 /// True if the line of byte `place` has a backslash after double quotes.
 fn has_backslash(text: &str, place: usize) -> bool {
@@ -375,6 +409,9 @@ mod tests {
         for (text, expected) in [
             ("[data]\nsource = \"C:\\Users\\me\"\n", "single quotes"),
             ("source = \"D:\\data\"\n", "single quotes"),
+            // `\t` and `\n` are escapes.
+            ("[data]\nsources = [\"C:\\temp\\me\"]\n", "single quotes"),
+            ("source = \"d:\\new\"\n", "single quotes"),
             ("source = \n", "[brackets]"),
         ] {
             let error = Document::parse(text, "c.toml").err().expect("no TOML");

@@ -126,6 +126,18 @@ pub enum Error {
         /// All differences.
         differences: Vec<String>,
     },
+    /// Weights of another program with numbers that are not finite.
+    #[error("{}: `{name}` contains NaN or infinity", path.display())]
+    #[diagnostic(help(
+        "the training that wrote the file diverged, or the file is damaged: take an earlier checkpoint, \
+         or copy it again"
+    ))]
+    ForeignNumbers {
+        /// The file.
+        path: PathBuf,
+        /// The first such parameter.
+        name: String,
+    },
     /// An array of the wrong shape.
     #[error("{} contains {found}, allowed: {allowed}", path.display())]
     #[diagnostic(help("`numpy.load` shows the contents"))]

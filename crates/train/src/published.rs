@@ -41,19 +41,20 @@ pub fn read_tensors(path: &Path) -> Result<BTreeMap<String, Tensor>, Error> {
 }
 
 /// Parts of names that wrappers add: data parallelism, compiled models, Lightning.
-const WRAPPERS: [&str; 3] = ["module", "_orig_mod", STATE_DICT];
+const WRAPPERS: [&str; 3] = ["module", "_orig_mod", "_forward_module"];
 
-/// The dictionary with the weights in files with more, such as the state of an optimizer.
-const STATE_DICT: &str = "state_dict";
+/// Dictionaries with the weights in files with more, such as the state of an optimizer.
+const STATE_DICTS: [&str; 2] = ["state_dict", "model_state_dict"];
 
-/// Tensors named without the parts that wrappers add; those of `state_dict` alone if it exists.
+/// Tensors named without the parts that wrappers add; those of a `state_dict` alone if it exists.
 fn unwrapped<T>(mut tensors: BTreeMap<String, T>) -> BTreeMap<String, T> {
-    let is_inside = |name: &str| name.split('.').next() == Some(STATE_DICT);
+    let is_inside = |name: &str| name.split('.').any(|part| STATE_DICTS.contains(&part));
     if tensors.keys().any(|name| is_inside(name)) {
         tensors.retain(|name, _| is_inside(name));
     }
+    let is_added = |part: &&str| WRAPPERS.contains(part) || STATE_DICTS.contains(part);
     let plain = tensors.into_iter().map(|(name, tensor)| {
-        let parts = name.split('.').filter(|part| !WRAPPERS.contains(part));
+        let parts = name.split('.').filter(|part| !is_added(part));
         (parts.collect::<Vec<_>>().join("."), tensor)
     });
     plain.collect()
@@ -74,7 +75,7 @@ pub fn part_of(tensors: &BTreeMap<String, Tensor>, part: &str) -> BTreeMap<Strin
 /// Replaces every parameter of `module` by the tensor of that name in the file at `path`.
 ///
 /// # Errors
-/// [`Error::ForeignWeights`] with all differences.
+/// [`Error::ForeignWeights`] with all differences, [`Error::ForeignNumbers`].
 pub fn load<M: Module>(
     path: &Path,
     module: M,
@@ -98,7 +99,7 @@ pub(crate) fn load_values<M: Module>(
 ) -> Result<M, Error> {
     let infos = parameters::infos(&module);
     let mut differences = parameters::differences(&infos, found);
-    let mut weights = Vec::with_capacity(infos.len());
+    let (mut weights, mut broken) = (Vec::with_capacity(infos.len()), None);
     for ParameterInfo { name, shape } in infos {
         // Parameters of other shapes, which may have any size, are listed in `differences`.
         let fits = found
@@ -109,18 +110,17 @@ pub(crate) fn load_values<M: Module>(
                 weights.push(values);
             }
             Some(Ok(_)) => {
-                differences.push(format!("`{name}` contains numbers that are not finite"))
+                broken.get_or_insert(name);
             }
             Some(Err(reason)) => differences.push(format!("`{name}`: {reason}")),
             None => {}
         }
     }
-    match differences.is_empty() {
-        true => Ok(parameters::replace(module, weights)),
-        false => Err(Error::ForeignWeights {
-            path: path.to_path_buf(),
-            differences,
-        }),
+    let path = path.to_path_buf();
+    match broken {
+        _ if !differences.is_empty() => Err(Error::ForeignWeights { path, differences }),
+        Some(name) => Err(Error::ForeignNumbers { path, name }),
+        None => Ok(parameters::replace(module, weights)),
     }
 }
 
@@ -195,6 +195,22 @@ mod tests {
     use super::*;
 
     #[test]
+    fn weights_that_are_not_finite_are_called_that() {
+        let module = burn::nn::LinearConfig::new(1, 1).init(&burn::tensor::Device::flex());
+        let found = parameters::infos(&module);
+        let load = |value: f32| {
+            let read = |_: &str| Ok(vec![value]);
+            load_values(Path::new("a.pt"), module.clone(), &found, read)
+        };
+        load(0.5).expect("finite weights");
+        for value in [f32::NAN, f32::INFINITY] {
+            let error = load(value).expect_err("not finite").to_string();
+            assert!(error.starts_with("a.pt: `"), "{error}");
+            assert!(error.ends_with("` contains NaN or infinity"), "{error}");
+        }
+    }
+
+    #[test]
     fn names_lose_the_parts_that_wrappers_add() {
         let names = |names: &[&str]| {
             let tensors = names.iter().map(|name| ((*name).to_owned(), ()));
@@ -212,5 +228,15 @@ mod tests {
         );
         let lightning = ["optimizer_states.0.step", "state_dict.model._orig_mod.a"];
         assert_eq!(names(&lightning), ["model.a"]);
+        let nested = [
+            "epoch.0",
+            "model_state_dict.module.a",
+            "optimizer_state_dict.x",
+        ];
+        assert_eq!(names(&nested), ["a"]);
+        assert_eq!(
+            names(&["weights.state_dict._forward_module.b"]),
+            ["weights.b"]
+        );
     }
 }

@@ -80,6 +80,8 @@ pub struct Bvh {
     values: Vec<f64>,
     /// Number of frames beyond those that the read file declares.
     frames_beyond: usize,
+    /// The file's own frame time, if it was read as milliseconds.
+    milliseconds: Option<f64>,
 }
 
 impl Bvh {
@@ -105,9 +107,20 @@ impl Bvh {
         self.values.len() / self.channels
     }
 
-    /// Number of frames beyond those that the file declares, which are read too: 0 or 1.
-    pub fn frames_beyond(&self) -> usize {
-        self.frames_beyond
+    /// Deviations of the file from its format, in words.
+    pub fn notes(&self) -> Vec<String> {
+        let frames = self.frames();
+        let beyond = (self.frames_beyond > 0).then(|| {
+            let declared = frames - self.frames_beyond;
+            format!("`Frames:` declares {declared}, and {frames} follow: all are read")
+        });
+        let milliseconds = self.milliseconds.map(|found| {
+            format!(
+                "`Frame Time:` is {found}: read as milliseconds, {:.3} frames per second",
+                1e3 / found
+            )
+        });
+        beyond.into_iter().chain(milliseconds).collect()
     }
 
     /// The numbers of frame `t`, `[channels]`, in file units and degrees.

@@ -2,11 +2,15 @@
 
 use std::borrow::Cow;
 
+use kinegrad_data::file::utf_16;
 use kinegrad_settings::counted;
 
 use super::{Bvh, CHANNELS, Channel, Joint};
 use crate::Error;
 use crate::error::quote;
+
+/// Frame times that are milliseconds: no motion has four seconds or more from frame to frame.
+const MILLISECONDS: std::ops::RangeInclusive<f64> = 4.0..=1000.0;
 
 /// Channels that one joint can have: three coordinates and three turns.
 const MOST_CHANNELS: usize = 6;
@@ -16,13 +20,16 @@ impl Bvh {
     ///
     /// Within the hierarchy any whitespace separates words; each frame is one line, and one frame more
     /// than declared is read too. Lines end in line feeds, carriage returns or both. Text is UTF-8, or
-    /// UTF-16 with a byte order mark; other bytes become replacement characters.
+    /// UTF-16; other bytes become replacement characters, and those that end
+    /// texts of old programs (0x1A, 0) are dropped at the end. Frame times of 4 to 1000 are
+    /// milliseconds.
     ///
     /// # Errors
     /// [`Error::Format`].
     pub fn parse(bytes: &[u8], file: &str) -> Result<Self, Error> {
         let text = decoded(bytes);
-        let text = text.trim_start_matches('\u{feff}');
+        let ends = |c: char| c.is_whitespace() || matches!(c, '\0' | '\u{1a}');
+        let text = text.trim_start_matches('\u{feff}').trim_end_matches(ends);
         let mut reader = Reader {
             file,
             lines: text.lines().enumerate(),
@@ -41,10 +48,12 @@ impl Bvh {
             frame_time,
             values,
         } = reader.motion(&joints, channels)?;
+        let milliseconds = Some(frame_time).filter(|time| MILLISECONDS.contains(time));
         Ok(Self {
             frames_beyond: values.len() / channels - declared,
             joints,
-            frame_time,
+            frame_time: milliseconds.map_or(frame_time, |found| found / 1000.0),
+            milliseconds,
             channels,
             values,
         })
@@ -53,15 +62,7 @@ impl Bvh {
 
 /// The text of a file, with line feeds at the ends of lines.
 fn decoded(bytes: &[u8]) -> Cow<'_, str> {
-    let words = |word: fn([u8; 2]) -> u16| {
-        let (pairs, _) = bytes.as_chunks::<2>();
-        String::from_utf16_lossy(&pairs.iter().map(|pair| word(*pair)).collect::<Vec<_>>())
-    };
-    let text = match bytes {
-        [0xff, 0xfe, ..] => Cow::Owned(words(u16::from_le_bytes)),
-        [0xfe, 0xff, ..] => Cow::Owned(words(u16::from_be_bytes)),
-        _ => String::from_utf8_lossy(bytes),
-    };
+    let text = utf_16(bytes).map_or_else(|| String::from_utf8_lossy(bytes), Cow::Owned);
     let is_alone = |at: usize| text.as_bytes().get(at + 1) != Some(&b'\n');
     match text.match_indices('\r').any(|(at, _)| is_alone(at)) {
         true => Cow::Owned(text.replace("\r\n", "\n").replace('\r', "\n")),
@@ -73,11 +74,15 @@ fn decoded(bytes: &[u8]) -> Cow<'_, str> {
 struct Motion {
     /// Number of frames that the file declares; there may be one more.
     declared: usize,
-    /// Seconds between frames.
+    /// Seconds between frames, or milliseconds.
     frame_time: f64,
     /// `[frames, channels]`.
     values: Vec<f64>,
 }
+
+/// The hint about a last line that is not whole.
+const CUT_OFF: &str = "the file ends here, before its last frame is whole: copy or export it again, or \
+     delete its last line and correct the number after `Frames:`";
 
 /// A place in the text.
 struct Reader<'a> {
@@ -141,6 +146,11 @@ impl<'a> Reader<'a> {
         Err(self.error(shown(word), &allowed, "the file may be cut off or no BVH"))
     }
 
+    /// True in the last line of the file.
+    fn is_at_end(&self) -> bool {
+        self.lines.clone().next().is_none()
+    }
+
     fn finite(&self, word: &str) -> Result<f64, Error> {
         self.number(word, String::new)
     }
@@ -150,13 +160,16 @@ impl<'a> Reader<'a> {
         let value = word.parse::<f64>().ok().filter(|value| value.is_finite());
         value.ok_or_else(|| {
             let lower = word.to_ascii_lowercase();
-            let is_undefined = ["nan", "inf", "#ind"].iter().any(|name| lower.contains(name));
+            // `1.#J` is a rounded `1.#INF`.
+            let is_undefined = ["nan", "inf", "#"].iter().any(|name| lower.contains(name));
             let hint = match is_undefined {
                 true => {
                     "the exporter wrote an undefined number: export the motion again, or replace the \
                      number by that of the frame before"
                 }
-                false => "decimals take a point, as in 1.5",
+                false if word.contains(',') => "decimals take a point, as in 1.5",
+                false if self.is_at_end() => CUT_OFF,
+                false => "numbers are separated by spaces, as in `1.5 -20 3e-2`",
             };
             self.error(shown(word) + &owner(), "a finite number", hint)
         })
@@ -268,9 +281,10 @@ impl<'a> Reader<'a> {
         })?;
         let text = self.setting("Frame Time")?;
         let frame_time = self.finite(text)?;
-        if frame_time <= 0.0 {
-            let hint = "30 frames per second are a frame time of 0.033333";
-            return Err(self.error(shown(text), "a positive number of seconds", hint));
+        if frame_time <= 0.0 || frame_time > *MILLISECONDS.end() {
+            let hint = "30 frames per second are a frame time of 0.033333 s";
+            let allowed = "a positive number of seconds, or at most 1000 milliseconds";
+            return Err(self.error(shown(text), allowed, hint));
         }
         let mut values = Vec::new();
         let mut found = 0;
@@ -297,8 +311,12 @@ impl<'a> Reader<'a> {
                 let numbers = counted(values.len() - before, "number");
                 let found = format!("frame {found} with {numbers}");
                 let allowed = format!("a frame with {}", counted(channels, "number"));
-                let hint =
-                    "each frame is one line with one number for each channel of the hierarchy";
+                let hint = match self.is_at_end() && values.len() - before < channels {
+                    true => CUT_OFF,
+                    false => {
+                        "each frame is one line with one number for each channel of the hierarchy"
+                    }
+                };
                 return Err(self.error(found, &allowed, hint));
             }
         }

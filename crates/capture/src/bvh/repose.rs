@@ -49,6 +49,7 @@ impl Bvh {
             frame_time,
             values,
             frames_beyond: 0,
+            milliseconds: None,
             ..self.clone()
         })
     }

@@ -113,25 +113,38 @@ fn lines_may_end_in_any_way_and_text_may_be_utf_16() {
     for ends in ["\r", "\r\n"] {
         assert_eq!(parse(&SMALL.replace('\n', ends)).unwrap(), expected);
     }
-    let units = || "\u{feff}".encode_utf16().chain(SMALL.encode_utf16());
-    let little: Vec<u8> = units().flat_map(u16::to_le_bytes).collect();
-    let big: Vec<u8> = units().flat_map(u16::to_be_bytes).collect();
-    for bytes in [little, big] {
-        assert_eq!(Bvh::parse(&bytes, "take.bvh").unwrap(), expected);
+    for text in [format!("\u{feff}{SMALL}"), SMALL.to_owned()] {
+        let little: Vec<u8> = text.encode_utf16().flat_map(u16::to_le_bytes).collect();
+        let big: Vec<u8> = text.encode_utf16().flat_map(u16::to_be_bytes).collect();
+        for bytes in [little, big] {
+            assert_eq!(Bvh::parse(&bytes, "take.bvh").unwrap(), expected);
+        }
     }
 }
 
 #[test]
 fn one_frame_more_than_declared_is_read() {
     let bvh = parse(&(SMALL.to_owned() + "4 5\n")).unwrap();
-    assert_eq!((bvh.frames(), bvh.frames_beyond()), (3, 1));
+    assert_eq!(bvh.frames(), 3);
+    assert_eq!(
+        bvh.notes(),
+        ["`Frames:` declares 2, and 3 follow: all are read"]
+    );
     let error = parse(&(SMALL.to_owned() + "4 5\n6 7\n")).unwrap_err();
     assert!(error.with_hint().contains("after `Frames:`"), "{error}");
 }
 
 #[test]
 fn undefined_numbers_are_named_with_frame_and_joint() {
-    for word in ["nan", "-nan(ind)", "1.#INF", "-inf", "1.#QNAN"] {
+    for word in [
+        "nan",
+        "-nan(ind)",
+        "1.#INF",
+        "-inf",
+        "1.#QNAN",
+        "-1.#IND",
+        "-1.#J",
+    ] {
         let error = parse(&SMALL.replace("2 3", &format!("2 {word}"))).unwrap_err();
         let said = error.with_hint();
         assert!(said.contains("in frame 2, joint `b`"), "{said}");
@@ -141,6 +154,65 @@ fn undefined_numbers_are_named_with_frame_and_joint() {
     assert!(
         error.with_hint().contains("decimals take a point"),
         "{error}"
+    );
+}
+
+#[test]
+fn a_file_that_was_cut_off_says_so() {
+    for last in ["2", "2 -", "2 1e", "2 .", "2 3.5e-"] {
+        let text = SMALL.replace("2 3\n", last);
+        let said = parse(&text).unwrap_err().with_hint();
+        assert!(
+            said.contains("the file ends here, before its last"),
+            "{said}"
+        );
+    }
+    let said = parse(&SMALL.replace("0 1\n", "0 -\n"))
+        .unwrap_err()
+        .with_hint();
+    assert!(said.contains("separated by spaces"), "{said}");
+}
+
+#[test]
+fn ends_of_text_are_no_frames() {
+    let expected = parse(SMALL).unwrap();
+    for end in ["\u{1a}", "\r\n\u{1a}\u{1a}", "\0", "\0\0\0\n \0", "\n\n"] {
+        assert_eq!(
+            parse(&(SMALL.to_owned() + end)).unwrap(),
+            expected,
+            "{end:?}"
+        );
+    }
+}
+
+#[test]
+fn frame_times_may_be_milliseconds() {
+    for (time, seconds) in [("33.3333", 0.0333333), ("8.33", 0.00833), ("4", 0.004)] {
+        let bvh = parse(&SMALL.replace("Time: 0.1", &format!("Time: {time}"))).unwrap();
+        assert!((bvh.frame_time() - seconds).abs() < 1e-12, "{time}");
+        assert!(
+            bvh.notes()[0].contains("read as milliseconds"),
+            "{:?}",
+            bvh.notes()
+        );
+        let text = bvh.to_text();
+        assert!(parse(&text).unwrap().notes().is_empty(), "{text}");
+    }
+    let said = parse(&SMALL.replace("Time: 0.1", "Time: 1e6"))
+        .unwrap_err()
+        .with_hint();
+    assert!(said.contains("at most 1000 milliseconds"), "{said}");
+}
+
+#[test]
+fn several_figures_are_named() {
+    let figure = "ROOT b { OFFSET 0 0 0 CHANNELS 1 Xposition }\nMOTION";
+    let said = parse(&SMALL.replace("MOTION", figure))
+        .unwrap_err()
+        .with_hint();
+    assert!(
+        said.contains("found a second ROOT") && said.contains("one figure a file"),
+        "{said}"
     );
 }
 

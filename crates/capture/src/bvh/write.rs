@@ -86,6 +86,7 @@ impl Bvh {
             channels: first_channel,
             values,
             frames_beyond: 0,
+            milliseconds: None,
         })
     }
 

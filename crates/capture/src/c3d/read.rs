@@ -21,8 +21,9 @@ impl C3d {
     /// Reads a C3D file from its bytes; `file` is its name for messages.
     ///
     /// Parameters take precedence over the header, except for the number of frames: the parameters
-    /// state this number only where the header's 16 bits are full. A point is missing where its
-    /// residual is negative or a number is NaN.
+    /// state this number only where the header's 16 bits are full. Where both state another start of
+    /// the data, the start that fits counts. A point is missing where its residual is negative or a
+    /// number is NaN.
     ///
     /// # Errors
     /// [`Error::Format`].
@@ -203,15 +204,37 @@ impl<'a> Reader<'a> {
         frames.map_or(header, |frames| frames as u64)
     }
 
+    /// The block of the first frame: that of the parameters, unless only that of the header is
+    /// behind the parameters, has room for all frames, or ends with the file.
+    fn data_block(&self, frames: u64, frame_bytes: usize) -> usize {
+        let header = usize::from(self.header(16));
+        let stated = self.point_number("DATA_START", || header as f64) as usize;
+        let first = usize::from(self.bytes[0]);
+        let blocks = self.bytes.get((first - 1) * BLOCK + 2).copied();
+        let behind = first + usize::from(blocks.unwrap_or(0));
+        let needed = frames.saturating_mul(frame_bytes as u64);
+        let fit = |block: usize| {
+            let start = block.saturating_sub(1).saturating_mul(BLOCK);
+            let left = (self.bytes.len() as u64).saturating_sub(start as u64);
+            let has_room = block > first && left >= needed;
+            let is_whole = has_room && left < needed.saturating_add(BLOCK as u64);
+            (has_room, block == behind, is_whole)
+        };
+        match fit(header) > fit(stated) {
+            true => header,
+            false => stated,
+        }
+    }
+
     /// All points, `[frames, points]`, NaN where missing.
     fn points(&self, points: usize, scale: f32) -> Result<Vec<[f32; 3]>, Error> {
         let width = if scale < 0.0 { 4 } else { 2 };
         let analog = usize::from(self.header(4));
         let frame_bytes = (POINT * points + analog) * width;
-        let block = self.point_number("DATA_START", || f64::from(self.header(16))) as usize;
+        let frames = self.frames();
+        let block = self.data_block(frames, frame_bytes);
         let start = block.saturating_sub(1).saturating_mul(BLOCK);
         let available = self.bytes.len().saturating_sub(start) / frame_bytes;
-        let frames = self.frames();
         if block == 0 || frames == 0 || frames > available as u64 {
             let found = format!("{frames} frames of {frame_bytes} bytes from block {block}");
             let allowed = format!("from 1 to the {available} frames that the file has room for");

@@ -144,6 +144,35 @@ fn units_are_lengths() {
 }
 
 #[test]
+fn of_two_starts_of_the_data_the_one_that_fits_counts() {
+    let example = example();
+    let bytes = example.bytes();
+    let expected = parse(&example).unwrap();
+    let data = bytes[16];
+    let name = b"DATA_START";
+    let place = bytes
+        .windows(name.len())
+        .position(|window| window == name)
+        .unwrap();
+    // The name, the link, the type and the number of dimensions.
+    let parameter = place + name.len() + 4;
+    assert_eq!(bytes[parameter], data);
+    for (place, wrong) in [16, parameter]
+        .into_iter()
+        .flat_map(|place| [0, 1, 2, data - 1, data + 1, 200].map(|wrong| (place, wrong)))
+    {
+        let mut bytes = bytes.clone();
+        bytes[place] = wrong;
+        let found = C3d::parse(&bytes, "take.c3d").unwrap();
+        assert_eq!(
+            format!("{found:?}"),
+            format!("{expected:?}"),
+            "{place} {wrong}"
+        );
+    }
+}
+
+#[test]
 fn damage_is_named_with_its_section() {
     let whole = example().bytes();
     let damaged = |place: usize, byte: u8| {

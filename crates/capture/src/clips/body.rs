@@ -7,7 +7,7 @@ use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_motion::time_stretch::spline;
 use kinegrad_motion::vector::{length, minus, plus};
 
-use super::centres::Centres;
+use super::centres::{Centres, Limb};
 use super::map::JointMap;
 use crate::plan::Units;
 use crate::{Bvh, C3d, UpAxis};
@@ -17,6 +17,10 @@ const LEGS: std::ops::RangeInclusive<f64> = 0.5..=1.1;
 
 /// The units that the length of legs can identify; no two units fit the same leg.
 const UNITS: [Units; 5] = [Units::M, Units::Cm, Units::Mm, Units::Inch, Units::Cmu];
+
+/// Largest standard deviation of the length of a limb's bone, as a part of its length. Estimated
+/// joint centres are off by 1 to 3 cm, a twelfth of the shortest of these bones.
+const MOST_VARIATION: f64 = 0.2;
 
 /// Lowest frame rate of a capture: at lower rates, motion between frames is unknown.
 const SLOWEST: f64 = 10.0;
@@ -50,7 +54,7 @@ impl Body {
     }
 
     /// The body of a capture of markers, with estimated joint centres ([`Centres`]). Every marker
-    /// must be seen in the frames that are `used`.
+    /// must be seen in the frames that are `used`, and limbs must be rigid there.
     pub(super) fn of_markers(
         take: &C3d,
         used: Range<usize>,
@@ -58,16 +62,30 @@ impl Body {
         rate: f64,
         up: Option<UpAxis>,
     ) -> Result<Self, String> {
-        let centres = Centres::of(take, used)?;
-        let spread = centres.spread(skeleton);
-        let mean = spread.iter().map(|(_, metres)| metres).sum::<f64>() / spread.len() as f64;
-        let worst = spread.iter().max_by(|(_, a), (_, b)| a.total_cmp(b));
-        let (joint, most) = worst.expect("limbs");
+        let centres = Centres::of(take, used.clone())?;
+        let limbs = centres.limbs(used, skeleton);
+        let mean = limbs.iter().map(|limb| limb.deviation).sum::<f64>() / limbs.len() as f64;
+        let is_rigid = |limb: &&Limb| limb.variation() <= MOST_VARIATION;
+        if let Some(limb) = limbs.iter().find(|limb| !is_rigid(limb)) {
+            return Err(format!(
+                "the bone to {} is {:.0} cm long and varies by {:.0} % (standard deviation), at most \
+                 {:.0} % allowed: a marker jumps, or markers are exchanged; repair the markers, or leave \
+                 these frames out",
+                limb.end,
+                100.0 * limb.mean,
+                100.0 * limb.variation(),
+                100.0 * MOST_VARIATION
+            ));
+        }
+        let worst = limbs
+            .iter()
+            .max_by(|a, b| a.deviation.total_cmp(&b.deviation));
+        let Limb { end, deviation, .. } = worst.expect("limbs");
         let note = format!(
             "joint centres are estimated from markers, within about 1 to 3 cm: lengths of limb bones \
-             vary by {:.1} cm (standard deviation, mean), that to {joint} most, by {:.1} cm",
+             vary by {:.1} cm (standard deviation, mean), that to {end} most, by {:.1} cm",
             100.0 * mean,
-            100.0 * most
+            100.0 * deviation
         );
         let metres = Some(Units::M);
         let mut body = Self::of_places(centres.joints, skeleton, rate, metres, up)?;

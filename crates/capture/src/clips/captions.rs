@@ -1,6 +1,7 @@
 //! Captions of clips: sentences made from labels, and their mirror images.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use crate::plan::{CaptionsPlan, Part, parts};
 
@@ -53,60 +54,153 @@ impl CaptionsPlan {
     }
 }
 
-/// The text of a mirrored clip: left and right exchanged, in any spelling.
+/// The text of a mirrored clip: left and right exchanged, in any spelling. The verb, as in "he left
+/// the room", stays.
 pub(super) fn mirrored(text: &str) -> String {
-    let mut result = String::with_capacity(text.len());
-    let mut word = String::new();
-    let exchange = |word: &str| {
-        let exchanged = match word.to_lowercase().as_str() {
-            "left" => "right",
-            "right" => "left",
-            "lefts" => "rights",
-            "rights" => "lefts",
-            "leftward" => "rightward",
-            "rightward" => "leftward",
-            "leftwards" => "rightwards",
-            "rightwards" => "leftwards",
-            "clockwise" => "counterclockwise",
-            "counterclockwise" | "anticlockwise" => "clockwise",
-            _ => return word.to_owned(),
-        };
-        let mut letters = word.chars();
-        match (letters.next(), letters.next()) {
-            (Some(first), Some(second)) if second.is_uppercase() && first.is_uppercase() => {
-                exchanged.to_uppercase()
-            }
-            (Some(first), _) if first.is_uppercase() => {
-                exchanged[..1].to_uppercase() + &exchanged[1..]
-            }
-            _ => exchanged.to_owned(),
-        }
+    let words = words(text);
+    // The neighbor of a word that only spaces separate from it.
+    let after = |index: usize| {
+        let next = words.get(index + 1)?.clone();
+        let gap = &text[words[index].end..next.start];
+        gap.trim().is_empty().then(|| text[next].to_lowercase())
     };
-    for letter in text.chars().chain(['\n']) {
-        if letter.is_alphabetic() {
-            word.push(letter);
-            continue;
-        }
-        match opposite(&result, &word) {
-            Some(begin) => {
-                result.truncate(begin);
-                result += &word;
+    let before = |index: usize| {
+        let last = words.get(index.checked_sub(1)?)?.clone();
+        let gap = &text[last.end..words[index].start];
+        gap.trim().is_empty().then(|| text[last].to_lowercase())
+    };
+    let mut result = String::with_capacity(text.len());
+    let mut end = 0;
+    for (index, range) in words.iter().enumerate() {
+        result += &text[end..range.start];
+        end = range.end;
+        let word = &text[range.clone()];
+        let lower = word.to_lowercase();
+        let is_verb = || left_is_verb(before(index).as_deref(), after(index).as_deref());
+        match opposite_prefix(&result, &lower) {
+            Some(prefix) => {
+                result.truncate(result.len() - prefix);
+                result += word;
             }
-            None => result += &exchange(&word),
+            None if lower == "left" && is_verb() => result += word,
+            None => result += &exchanged(word, &lower),
         }
-        word.clear();
-        result.push(letter);
     }
-    result.pop();
-    result
+    result + &text[end..]
 }
 
-/// Start of a "counter-" or "anti-" before a "clockwise".
-fn opposite(before: &str, word: &str) -> Option<usize> {
-    let before = before.to_lowercase();
-    let mut prefixes = ["counter-", "anti-"].into_iter();
-    let prefix = prefixes.find(|prefix| before.ends_with(prefix))?;
-    (word.to_lowercase() == "clockwise").then(|| before.len() - prefix.len())
+/// The ranges of the words of a text.
+fn words(text: &str) -> Vec<Range<usize>> {
+    let mut words: Vec<Range<usize>> = Vec::new();
+    for (start, letter) in text.char_indices().filter(|(_, c)| c.is_alphabetic()) {
+        let end = start + letter.len_utf8();
+        match words.last_mut() {
+            Some(word) if word.end == start => word.end = end,
+            _ => words.push(start..end),
+        }
+    }
+    words
+}
+
+/// The word of the other side, in the same spelling.
+fn exchanged(word: &str, lower: &str) -> String {
+    let exchanged = match lower {
+        "left" => "right",
+        "right" => "left",
+        "lefts" => "rights",
+        "rights" => "lefts",
+        "leftward" => "rightward",
+        "rightward" => "leftward",
+        "leftwards" => "rightwards",
+        "rightwards" => "leftwards",
+        "clockwise" => "counterclockwise",
+        "counterclockwise" | "anticlockwise" => "clockwise",
+        _ => return word.to_owned(),
+    };
+    let mut letters = word.chars();
+    match (letters.next(), letters.next()) {
+        (Some(first), Some(second)) if second.is_uppercase() && first.is_uppercase() => {
+            exchanged.to_uppercase()
+        }
+        (Some(first), _) if first.is_uppercase() => exchanged[..1].to_uppercase() + &exchanged[1..],
+        _ => exchanged.to_owned(),
+    }
+}
+
+/// Length of a "counter-" or "anti-" before a "clockwise".
+fn opposite_prefix(before: &str, lower: &str) -> Option<usize> {
+    let prefixes = ["counter-", "anti-"].into_iter();
+    let is_before = |prefix: &&str| {
+        let start = before.len().checked_sub(prefix.len());
+        let tail = start.and_then(|start| before.get(start..));
+        tail.is_some_and(|tail| tail.eq_ignore_ascii_case(prefix))
+    };
+    let prefix = prefixes.filter(|_| lower == "clockwise").find(is_before)?;
+    Some(prefix.len())
+}
+
+/// Words before the verb "left", whatever follows.
+const PRONOUNS: [&str; 6] = ["he", "she", "they", "who", "we", "i"];
+
+/// Words before the verb "left" at the end of a sentence, or before its object.
+const SUBJECTS: [&str; 24] = [
+    "has",
+    "have",
+    "had",
+    "having",
+    "person",
+    "people",
+    "man",
+    "men",
+    "woman",
+    "women",
+    "someone",
+    "somebody",
+    "everyone",
+    "everybody",
+    "dancer",
+    "dancers",
+    "actor",
+    "actors",
+    "figure",
+    "figures",
+    "guy",
+    "girl",
+    "boy",
+    "child",
+];
+
+/// Words behind the verb "left".
+const OBJECTS: [&str; 22] = [
+    "the", "a", "an", "his", "her", "their", "its", "my", "your", "our", "this", "that", "these",
+    "those", "it", "him", "them", "me", "us", "behind", "alone", "home",
+];
+
+/// Words before "left" as a side, whatever follows. Other verbs end in -s, -ing or -ed.
+const BEFORE_A_SIDE: [&str; 40] = [
+    "the", "a", "his", "her", "their", "its", "my", "your", "our", "to", "from", "on", "of", "at",
+    "with", "toward", "towards", "far", "turn", "step", "go", "move", "walk", "look", "lean",
+    "run", "jump", "kick", "bend", "swing", "reach", "veer", "shift", "hop", "slide", "stretch",
+    "rotate", "face", "went", "ran",
+];
+
+/// True if "left" between these words is the past of "to leave".
+fn left_is_verb(before: Option<&str>, after: Option<&str>) -> bool {
+    let has_object = after.is_some_and(|after| OBJECTS.contains(&after));
+    match before {
+        Some(before) if PRONOUNS.contains(&before) => true,
+        Some("is" | "are" | "was" | "were" | "be" | "been") => {
+            after.is_some_and(|after| matches!(after, "behind" | "alone" | "over"))
+        }
+        Some(before) if SUBJECTS.contains(&before) => {
+            has_object || after.is_none_or(|after| after.ends_with("ly"))
+        }
+        Some(before) => {
+            let is_verb = ["s", "ing", "ed"].iter().any(|end| before.ends_with(end));
+            has_object && !is_verb && !BEFORE_A_SIDE.contains(&before)
+        }
+        None => has_object,
+    }
 }
 
 #[cfg(test)]
@@ -168,5 +262,69 @@ mod tests {
         assert_eq!(mirrored("turns counter-clockwise."), "turns clockwise.");
         assert_eq!(mirrored("Anti-clockwise"), "clockwise");
         assert_eq!(mirrored("left-handed"), "right-handed");
+    }
+
+    #[test]
+    fn the_verb_left_stays() {
+        for (text, expected) in [
+            (
+                "she left the room, then turns left",
+                "she left the room, then turns right",
+            ),
+            ("He left.", "He left."),
+            (
+                "a person left the chair and walks left",
+                "a person left the chair and walks right",
+            ),
+            ("the man has left", "the man has left"),
+            (
+                "they suddenly left their places",
+                "they suddenly left their places",
+            ),
+            (
+                "who left a bag on the left?",
+                "who left a bag on the right?",
+            ),
+            ("the hand left the ground", "the hand left the ground"),
+            ("Left the room to the left.", "Left the room to the right."),
+            (
+                "turns left and left the room",
+                "turns right and left the room",
+            ),
+            ("he was left behind", "he was left behind"),
+        ] {
+            assert_eq!(mirrored(text), expected);
+        }
+        for (text, expected) in [
+            ("turns left and left", "turns right and right"),
+            (
+                "a person has left arm raised",
+                "a person has right arm raised",
+            ),
+            ("turns left the second time", "turns right the second time"),
+            (
+                "a step to the left, the arms up",
+                "a step to the right, the arms up",
+            ),
+            ("raises his left", "raises his right"),
+            (
+                "looking left, a person walks",
+                "looking right, a person walks",
+            ),
+            ("left foot, left hand", "right foot, right hand"),
+            (
+                "the person left of the table",
+                "the person right of the table",
+            ),
+        ] {
+            assert_eq!(mirrored(text), expected);
+            assert_eq!(mirrored(expected), text);
+        }
+        // A look back over all of the text at each word would take minutes.
+        let long = "he left the room, anti-clockwise ".repeat(100_000);
+        assert_eq!(
+            mirrored(&long),
+            "he left the room, clockwise ".repeat(100_000)
+        );
     }
 }

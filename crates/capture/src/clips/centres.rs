@@ -5,9 +5,10 @@
 //! children, and patients with cerebral palsy based on magnetic resonance imaging" (J. Biomech. 40,
 //! 2007), whose error is 1 to 2 cm. Knees and ankles lie half a usual width inwards of their
 //! markers. Elbows lie inwards across the plane of the bent arm, and shoulders below their markers.
-//! These joints may be off by 1 to 3 cm. [`Centres::spread`] measures a part of the error: the
+//! These joints may be off by 1 to 3 cm. [`Centres::limbs`] measures a part of the error: the
 //! variation of bone lengths.
 
+use std::collections::BTreeSet;
 use std::ops::Range;
 
 use kinegrad_motion::humanml::Skeleton;
@@ -15,6 +16,7 @@ use kinegrad_settings::counted;
 use nalgebra::Vector3;
 
 use crate::C3d;
+use crate::error::quote;
 use crate::markers::gaps::fill_gaps;
 
 type Place = Vector3<f64>;
@@ -57,15 +59,20 @@ impl Centres {
     /// place in the nearest frame that shows it.
     pub fn of(take: &C3d, used: Range<usize>) -> Result<Self, String> {
         let mut tracks = Vec::with_capacity(MARKERS.len());
-        let (mut lacking, mut notes) = (Vec::new(), Vec::new());
+        let (mut lacking, mut several, mut notes) = (Vec::new(), BTreeSet::new(), Vec::new());
         let most = (LONGEST_GAP_SECONDS * take.rate).round() as usize;
         for (index, name) in MARKERS.into_iter().enumerate() {
             let names: Vec<&str> = [name].iter().chain(WAIST.get(index)).copied().collect();
-            let found = names.iter().find_map(|name| match take.find(name)[..] {
-                [point] => Some(point),
-                _ => None,
-            });
-            let Some(point) = found else {
+            // Of several names that fit, the first.
+            let found = names.iter().rev().map(|name| take.find(name));
+            let found = found.max_by_key(|points| (points.len() == 1, points.len()));
+            let Some(&[point]) = found.as_deref() else {
+                let labels = found
+                    .iter()
+                    .flatten()
+                    .map(|&point| take.labels[point].as_str());
+                let subjects = labels.filter_map(|label| Some(label.rsplit_once(':')?.0));
+                several.extend(subjects.map(quote));
                 lacking.push(names.join(" or "));
                 continue;
             };
@@ -91,6 +98,15 @@ impl Centres {
             let metres = |place: [f64; 3]| Place::from(place) * take.metres_per_unit;
             tracks.push(track.into_iter().flatten().map(metres).collect::<Vec<_>>());
         }
+        if several.len() > 1 {
+            let (first, subjects) = (several.len().min(OWN), several.len());
+            let names: Vec<String> = several.into_iter().take(first).collect();
+            return Err(format!(
+                "it has the markers of {subjects} subjects, and one is read: {}: export one subject a \
+                 file",
+                names.join(", ")
+            ));
+        }
         if !lacking.is_empty() {
             let (count, all, names) = (lacking.len(), MARKERS.len(), lacking.join(", "));
             let own: Vec<&str> = take.labels.iter().take(OWN).map(String::as_str).collect();
@@ -112,28 +128,49 @@ impl Centres {
         Ok(Self { joints, notes })
     }
 
-    /// The standard deviations of the lengths of the arms' and legs' bones over the take, metres,
-    /// each with the bone's end joint. Bones have constant lengths, so these deviations are errors
-    /// of joint centres.
-    pub fn spread(&self, skeleton: &Skeleton) -> Vec<(String, f64)> {
+    /// The lengths of the arms' and legs' bones over the `used` frames, each with the bone's end
+    /// joint. Bones have constant lengths, so the deviations are errors of joint centres.
+    pub fn limbs(&self, used: Range<usize>, skeleton: &Skeleton) -> Vec<Limb> {
         let description = skeleton.description();
         let limbs = ["knee", "ankle", "elbow", "wrist"];
         let bones = (0..skeleton.joints()).filter(|joint| {
             let name = &description.joint_names[*joint];
             limbs.iter().any(|limb| name.ends_with(limb))
         });
-        let deviation = |end: usize| {
+        let limb = |end: usize| {
             let start = skeleton.parents()[end].expect("a limb has a parent");
             let frames = self.joints.chunks_exact(skeleton.joints());
+            let frames = frames.skip(used.start).take(used.len());
             let bone = |frame: &[[f64; 3]]| Place::from(frame[end]) - Place::from(frame[start]);
             let lengths: Vec<f64> = frames.map(|frame| bone(frame).norm()).collect();
             let count = lengths.len() as f64;
             let mean = lengths.iter().sum::<f64>() / count;
             let squares = lengths.iter().map(|length| (length - mean).powi(2));
-            let deviation = (squares.sum::<f64>() / count).sqrt();
-            (description.joint_names[end].clone(), deviation)
+            Limb {
+                end: description.joint_names[end].clone(),
+                mean,
+                deviation: (squares.sum::<f64>() / count).sqrt(),
+            }
         };
-        bones.map(deviation).collect()
+        bones.map(limb).collect()
+    }
+}
+
+/// The length of a bone over a take.
+#[derive(Clone, Debug)]
+pub(super) struct Limb {
+    /// The joint at its end.
+    pub end: String,
+    /// Mean length, metres.
+    pub mean: f64,
+    /// Standard deviation of the length, metres.
+    pub deviation: f64,
+}
+
+impl Limb {
+    /// The deviation as a part of the length.
+    pub fn variation(&self) -> f64 {
+        self.deviation / self.mean
     }
 }
 
@@ -320,6 +357,43 @@ mod tests {
         }
         let note = body.notes.last().expect("a note");
         assert!(note.contains("lengths of limb bones vary by"), "{note}");
+    }
+
+    #[test]
+    fn limbs_that_are_not_rigid_are_refused() {
+        let mut example = example(60);
+        // The left elbow is at the right one in a third of the frames.
+        let at = |name: &str| MARKERS.iter().position(|marker| *marker == name).unwrap();
+        for frame in &mut example.frames[20..40] {
+            frame[at("LELB")] = frame[at("RELB")];
+        }
+        let message = body(&example).unwrap_err();
+        assert!(message.contains("the bone to left_"), "{message}");
+        assert!(message.contains("at most 20 % allowed"), "{message}");
+        // Frames that are not used do not count.
+        let take = C3d::parse(&example.bytes(), "take.c3d").unwrap();
+        let skeleton = Skeleton::humanml3d();
+        Body::of_markers(&take, 0..20, &skeleton, take.rate, None).unwrap();
+    }
+
+    #[test]
+    fn several_subjects_are_named() {
+        let mut example = example(10);
+        let second = example
+            .labels
+            .iter()
+            .map(|label| label.replace("who:", "other:"));
+        let second: Vec<String> = second.collect();
+        example.labels.extend(second);
+        for frame in &mut example.frames {
+            frame.extend_from_within(..);
+        }
+        let message = body(&example).unwrap_err();
+        assert!(message.contains("the markers of 2 subjects"), "{message}");
+        assert!(
+            message.contains("`other`, `who`: export one subject"),
+            "{message}"
+        );
     }
 
     #[test]

@@ -22,7 +22,7 @@ use crate::prepare::output::Output;
 use crate::{Bvh, C3d, Error};
 
 /// Version of the algorithm. A new version makes all takes again.
-const MAKER: &str = "kinegrad clips 3";
+const MAKER: &str = "kinegrad clips 4";
 
 /// Name of the map of captures of markers.
 const MARKERS: &str = "markers";
@@ -184,7 +184,8 @@ impl Take {
             None => JointMap::fitting(&bvh)?,
         };
         let rate = fps.unwrap_or(1.0 / bvh.frame_time());
-        let body = Body::of_places(map.joints_of(&bvh)?, skeleton, rate, units, up)?;
+        let mut body = Body::of_places(map.joints_of(&bvh)?, skeleton, rate, units, up)?;
+        body.notes.extend(bvh.notes());
         Ok((map.name.clone(), body))
     }
 

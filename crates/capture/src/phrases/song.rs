@@ -14,7 +14,7 @@ pub(super) struct Song {
     pub beats: Beats,
     /// Onset strength for tracking beats, `[T]`.
     pub onset: Vec<f32>,
-    /// Damage of the file, in words.
+    /// Damage of the file, or a note about its length.
     pub damage: Option<String>,
 }
 
@@ -26,7 +26,8 @@ impl Song {
             .map_err(|error| format!("{}: {error}", path.display()))?;
         let onset = analysis.onset.median.clone();
         let features = analysis.features();
-        let damage = waveform.damage();
+        let note = waveform.note().map(str::to_owned);
+        let damage = waveform.damage().or(note);
         Ok(Self {
             beats: features.beats().clone(),
             onset,

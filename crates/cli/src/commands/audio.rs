@@ -96,6 +96,9 @@ fn one(song: &Song, arguments: &FeaturesArguments) -> Result<[String; 6], Error>
     if let Some(damage) = waveform.damage() {
         tell!("warning: {}: {damage}", song.path.display());
     }
+    if let Some(note) = waveform.note() {
+        tell!("{}: {note}", song.path.display());
+    }
     let layout = AudioLayout {
         beats: arguments.with_beats,
     };

@@ -37,9 +37,8 @@ pub fn read_bvh(path: &Path) -> Result<Bvh, Error> {
         Error::usage(message, "give a BVH file that is there")
     })?;
     let bvh = Bvh::parse(&bytes, &file).map_err(unusable)?;
-    if bvh.frames_beyond() > 0 {
-        let (declared, frames) = (bvh.frames() - bvh.frames_beyond(), bvh.frames());
-        tell!("note: {file}: `Frames:` declares {declared}, and {frames} follow: all are read");
+    for note in bvh.notes() {
+        tell!("note: {file}: {note}");
     }
     Ok(bvh)
 }

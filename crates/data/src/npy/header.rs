@@ -6,6 +6,9 @@ use crate::FileError;
 /// NumPy's limit.
 pub(super) const MAX_HEADER_BYTES: usize = 10_000;
 
+/// NumPy's limit, since version 2.
+const MAX_AXES: usize = 64;
+
 /// NumPy's alignment of the data for memory mapping.
 const ALIGNMENT: usize = 64;
 
@@ -193,6 +196,9 @@ fn axes(tuple: &str) -> Result<Vec<usize>, String> {
     let axes: Vec<usize> = axes
         .map(|axis| self::axis(axis.trim_ascii()))
         .collect::<Result<_, _>>()?;
+    if axes.len() > MAX_AXES {
+        return Err(format!("{} axes found, {MAX_AXES} allowed", axes.len()));
+    }
     // In Python, a single number in brackets is not a tuple.
     if axes.len() == 1 && closed.is_none() {
         return Err(wrong());

@@ -41,6 +41,24 @@ fn three_axes_in_fortran_order_are_read_as_in_c_order() {
 }
 
 #[test]
+fn many_axes_are_refused_or_take_no_more_work_than_their_numbers() {
+    let ones = |count: usize| format!("({})", "1, ".repeat(count));
+    let bytes = raw("'<f4'", true, &ones(65), &floats(&[1.0]));
+    let message = parse(&bytes, "f").unwrap_err().to_string();
+    assert!(message.contains("65 axes found, 64 allowed"), "{message}");
+    // With work for each number and axis, this would take minutes.
+    let shape = format!("(2048, 2048, {})", "1, ".repeat(62));
+    let numbers: Vec<f32> = (0..1 << 22).map(|number| number as f32).collect();
+    let array = parse(&raw("'<f4'", true, &shape, &floats(&numbers)), "f").unwrap();
+    assert_eq!(array.shape.len(), 64);
+    let at = |row: usize, column: usize| array.values[2048 * row + column];
+    assert_eq!(
+        [at(0, 1), at(1, 0), at(2047, 2047)],
+        [2048.0, 1.0, 4_194_303.0]
+    );
+}
+
+#[test]
 fn c_and_fortran_order_and_float64_give_the_same_array() {
     let expected = Array {
         shape: vec![2, 3],

@@ -1,5 +1,7 @@
 //! Contradictory constraints.
 
+use std::collections::HashMap;
+
 use super::{Fixed, Job};
 use crate::{Constraint, Error, Frames, Looping, MotionMatrix};
 
@@ -46,7 +48,7 @@ impl Job {
             let refused = |problem, hint| Err(Error::file(keyframe.called(), problem, hint));
             for (fixed, own) in fixed.iter().zip(&self.fixed) {
                 let (file, part) = (&own.motion.file, &own.part);
-                if let Some(&channel) = shared(key, fixed).first() {
+                if let Some(&(channel, _)) = shared(key, fixed).first() {
                     let name = named(layout, channel);
                     let problem = format!(
                         "at {time} s {name} has a pose, and follows {file} as part of `{part}`"
@@ -81,11 +83,13 @@ impl Job {
     }
 }
 
-/// Channels of both constraints.
-fn shared(one: &Constraint, other: &Constraint) -> Vec<usize> {
-    let others = channels(other);
-    let own = channels(one).iter().copied();
-    own.filter(|channel| others.contains(channel)).collect()
+/// Channels of both constraints, with their places in each.
+fn shared(one: &Constraint, other: &Constraint) -> Vec<(usize, [usize; 2])> {
+    let others = channels(other).iter().enumerate();
+    let others: HashMap<usize, usize> = others.map(|(place, &channel)| (channel, place)).collect();
+    let own = channels(one).iter().enumerate();
+    let both = own.filter_map(|(place, channel)| Some((*channel, [place, *others.get(channel)?])));
+    both.collect()
 }
 
 fn channels(constraint: &Constraint) -> &[usize] {
@@ -96,16 +100,17 @@ fn channels(constraint: &Constraint) -> &[usize] {
 
 /// A channel with different values in two constraints of one kind.
 fn contradiction(one: &Constraint, other: &Constraint) -> Option<usize> {
-    let values = |constraint: &Constraint, channel: usize| match constraint {
-        Constraint::Channels { motion, .. } => Some(motion.columns(&[channel])),
+    let values = |constraint: &Constraint, channel: usize, place: usize| match constraint {
+        Constraint::Channels { motion, .. } => motion.columns(&[channel]),
         Constraint::Keyframe { source, from, .. } => {
-            let mut channels = channels(constraint).iter();
-            let place = channels.position(|&other| other == channel)?;
-            Some(Frames::new(1, vec![source.frame(*from)[place]]))
+            Frames::new(1, vec![source.frame(*from)[place]])
         }
     };
     let mut shared = shared(one, other).into_iter();
-    shared.find(|&channel| values(one, channel) != values(other, channel))
+    let found = shared.find(|&(channel, [own, other_place])| {
+        values(one, channel, own) != values(other, channel, other_place)
+    });
+    found.map(|(channel, _)| channel)
 }
 
 /// Name of the joint of a channel.

@@ -3,7 +3,7 @@
 use kinegrad_capture::{Bvh, Channel, Joint, bare_name};
 use kinegrad_motion::vector::length;
 
-use super::skeleton::{ancestors, position_ranges, thinning};
+use super::skeleton::{hangs_alone, position_ranges, thinning};
 use super::{Example, MotionMatrix};
 use crate::Error;
 
@@ -51,9 +51,8 @@ impl MotionMatrix {
     /// Checks sizes and directions of bones. The root joint and its ancestors have no bones.
     pub(super) fn must_match_bones(&self, example: &Example) -> Result<(), Error> {
         let (own, other) = (bones(&self.bvh), bones(&example.bvh));
-        let has_bone = |joint: &usize| {
-            *joint > 0 && *joint != self.root_joint && !self.ancestors.contains(joint)
-        };
+        let has_bone =
+            |joint: &usize| *joint > 0 && *joint != self.root_joint && !self.is_ancestor(*joint);
         let joints: Vec<usize> = (0..own.len()).filter(has_bone).collect();
         let both = joints.iter().flat_map(|&joint| [own[joint], other[joint]]);
         let longest = both.flatten().map(length).fold(0.0, f64::max);
@@ -86,7 +85,7 @@ impl MotionMatrix {
             if ranges[joint] * self.scale < UNSEEN {
                 continue;
             }
-            let writer = match self.ancestors.contains(&joint) {
+            let writer = match self.is_ancestor(joint) {
                 true => self.root_joint,
                 false => joint,
             };
@@ -141,12 +140,12 @@ impl MotionMatrix {
 /// The offset of each joint. `None` where the position changes: the offset is then not a bone, as
 /// for hips that move below a root.
 fn bones(bvh: &Bvh) -> Vec<Option<[f64; 3]>> {
-    let (still, ranges) = (bvh.locals(0), position_ranges(bvh));
+    let (still, ranges, alone) = (bvh.locals(0), position_ranges(bvh), hangs_alone(bvh));
     let joints = bvh.joints().iter().zip(still).zip(ranges).enumerate();
     let bone = joints.map(|(index, ((joint, pose), range))| match range > 0.0 {
         false => Some(pose.position),
         true => Some(joint.offset)
-            .filter(|&offset| length(offset) > 0.0 && ancestors(bvh, index).is_empty()),
+            .filter(|&offset| length(offset) > 0.0 && !(alone[index] && joint.parent.is_some())),
     });
     bone.collect()
 }

@@ -34,23 +34,43 @@ pub(super) fn root_joint(bvh: &Bvh, ranges: &[f64]) -> usize {
             below[parent] += below[joint];
         }
     }
+    let bones = joints.iter().map(|joint| length(joint.offset));
+    let [first, second] = bones
+        .enumerate()
+        .skip(1)
+        .fold([(0, 0.0); 2], |[first, second], bone| {
+            match bone.1 > first.1 {
+                true => [bone, first],
+                false if bone.1 > second.1 => [first, bone],
+                false => [first, second],
+            }
+        });
     let longest = |without: usize| {
-        let others = (1..joints.len()).filter(move |&joint| joint != without);
-        others.map(|j| length(joints[j].offset)).fold(0.0, f64::max)
+        if without == first.0 {
+            second.1
+        } else {
+            first.1
+        }
     };
+    let alone = hangs_alone(bvh);
     let carrying = |joint: &usize| {
-        let alone = *joint == 0 || !ancestors(bvh, *joint).is_empty();
-        alone || 2 * below[*joint] > joints.len() && ranges[*joint] > longest(*joint)
+        alone[*joint] || 2 * below[*joint] > joints.len() && ranges[*joint] > longest(*joint)
     };
     let candidates = (0..joints.len()).filter(carrying);
     let most = candidates.clone().map(|j| ranges[j]).fold(0.0, f64::max);
     let mut joint = candidates.clone().find(|&j| ranges[j] == most).unwrap_or(0);
-    while let Some(child) = (joint + 1..joints.len()).find(|&j| joints[j].parent == Some(joint))
-        && ancestors(bvh, child).contains(&joint)
-        && carrying(&child)
-        && ranges[child] > 0.5 * most
-    {
-        joint = child;
+    // The first child of a joint follows it.
+    let has_next = |joint: usize| {
+        let child = joint + 1;
+        joints
+            .get(child)
+            .is_some_and(|child| child.parent == Some(joint))
+            && alone[child]
+            && carrying(&child)
+            && ranges[child] > 0.5 * most
+    };
+    while has_next(joint) {
+        joint += 1;
     }
     joint
 }
@@ -70,13 +90,28 @@ pub(super) fn common_root_joint(bvh: &Bvh, all: &[Vec<f64>], ranges: &[f64]) -> 
 /// The ancestors of a joint, its parent first; empty if an ancestor has another child.
 pub(super) fn ancestors(bvh: &Bvh, joint: usize) -> Vec<usize> {
     let joints = bvh.joints();
-    let above = std::iter::successors(joints[joint].parent, |&parent| joints[parent].parent);
-    let above: Vec<usize> = above.collect();
-    let children = |parent: usize| joints.iter().filter(|j| j.parent == Some(parent)).count();
-    match above.iter().all(|&parent| children(parent) == 1) {
-        true => above,
+    match hangs_alone(bvh)[joint] {
+        true => {
+            std::iter::successors(joints[joint].parent, |&parent| joints[parent].parent).collect()
+        }
         false => Vec::new(),
     }
+}
+
+/// True for each joint whose ancestors have one child each.
+pub(super) fn hangs_alone(bvh: &Bvh) -> Vec<bool> {
+    let joints = bvh.joints();
+    let mut children = vec![0; joints.len()];
+    for parent in joints.iter().filter_map(|joint| joint.parent) {
+        children[parent] += 1;
+    }
+    let mut alone = vec![true; joints.len()];
+    for (index, joint) in joints.iter().enumerate() {
+        alone[index] = joint
+            .parent
+            .is_none_or(|parent| alone[parent] && children[parent] == 1);
+    }
+    alone
 }
 
 /// The scale factor of lengths. The offset of the root joint is not a bone, but the published

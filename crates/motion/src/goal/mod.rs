@@ -45,6 +45,8 @@ pub use guidance::{GuidanceConfig, GuidanceLoss, GuidanceNorm};
 pub use obstacle::Obstacle;
 pub use schedule::{GuidanceSchedule, Phase};
 
+use std::collections::HashMap;
+
 use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -53,6 +55,9 @@ use crate::MAX_FRAMES;
 
 /// Furthest position from the origin along each axis, metres.
 const MAX_METRES: f64 = 1e5;
+
+/// Most corners of a goal's polygons, which are checked by pairs of edges.
+const MOST_CORNERS: usize = 2000;
 
 /// Largest weight.
 const MAX_WEIGHT: f64 = 1e9;
@@ -168,6 +173,11 @@ impl Goal {
         if let Some(trajectory) = &self.trajectory {
             self.check_trajectory(trajectory)?;
         }
+        let corners = self.obstacles.iter().map(Obstacle::corners).sum::<usize>();
+        let found = format!("a list of polygons with {corners} corners in all");
+        let allowed = format!("at most {MOST_CORNERS} corners");
+        require(corners <= MOST_CORNERS, "obstacle", found, allowed)
+            .hint("leave out corners that lie near the line between their neighbors")?;
         for (index, obstacle) in self.obstacles.iter().enumerate() {
             obstacle.validate().within(&format!("obstacle[{index}]"))?;
         }
@@ -179,11 +189,11 @@ impl Goal {
     }
 
     fn check_keyframes(&self) -> Result<(), InvalidSetting> {
+        let mut places = HashMap::new();
         for (index, keyframe) in self.keyframes.iter().enumerate() {
             let key = format!("keyframe[{index}]");
             self.check_frame(&format!("{key}.frame"), keyframe.frame)?;
-            let same = |other: &Keyframe| other.frame == keyframe.frame;
-            if let Some(earlier) = self.keyframes[..index].iter().position(same) {
+            if let Some(earlier) = places.insert(keyframe.frame, index) {
                 let found = format!("{}, like that of `keyframe[{earlier}]`", keyframe.frame);
                 let allowed = "one keyframe for each frame";
                 let refused = InvalidSetting::new(format!("{key}.frame"), found, allowed);

@@ -36,19 +36,22 @@ impl Obstacle {
     /// Smallest signed distance of the points of the segment from `a` to `b`, metres: exact outside; of
     /// a segment that crosses the obstacle, the depth of one of its points inside.
     pub fn swept_distance(&self, a: [f64; 2], b: [f64; 2]) -> f64 {
-        let shares = match self {
-            &Self::Disc { x, z, .. } => vec![0.0, polygon::share_nearest([x, z], a, b), 1.0],
-            Self::Polygon { vertices } => polygon::nearest_shares(vertices, a, b),
-        };
-        let at = |share: f64| [0, 1].map(|axis| a[axis] + share * (b[axis] - a[axis]));
-        let distances = shares
-            .into_iter()
-            .map(|share| self.signed_distance(at(share)));
-        // NaN is not hidden: it is the smallest.
-        distances.fold(f64::INFINITY, |least, distance| match distance < least {
-            false if !distance.is_nan() => least,
-            _ => distance,
-        })
+        match self {
+            &Self::Disc { x, z, .. } => {
+                let shares = [0.0, polygon::share_nearest([x, z], a, b), 1.0];
+                let at = |share: f64| [0, 1].map(|axis| a[axis] + share * (b[axis] - a[axis]));
+                polygon::least(shares.map(|share| self.signed_distance(at(share))))
+            }
+            Self::Polygon { vertices } => polygon::swept_distance(vertices, a, b),
+        }
+    }
+
+    /// Number of its corners.
+    pub(super) fn corners(&self) -> usize {
+        match self {
+            Self::Disc { .. } => 0,
+            Self::Polygon { vertices } => vertices.len(),
+        }
     }
 
     /// Its extent along x and z, `[least, greatest]` of each.

@@ -44,10 +44,13 @@ pub(super) fn distance_and_gradient(vertices: &[[f64; 2]], point: [f64; 2]) -> (
     (sign * distance, gradient)
 }
 
-/// Shares of the segment from `a` to `b`, 0 to 1, among which is that of its point with the smallest
-/// signed distance if it stays outside, and one inside if it crosses the polygon.
-pub(super) fn nearest_shares(vertices: &[[f64; 2]], a: [f64; 2], b: [f64; 2]) -> Vec<f64> {
+/// Smallest signed distance of the points of the segment from `a` to `b`: exact outside; of a segment
+/// that crosses the polygon, the depth of one of its points inside.
+pub(super) fn swept_distance(vertices: &[[f64; 2]], a: [f64; 2], b: [f64; 2]) -> f64 {
     let along = minus(b, a);
+    let at = |share: f64| [0, 1].map(|axis| a[axis] + share * along[axis]);
+    let signed = |share: f64| distance_and_gradient(vertices, at(share)).0;
+    let ends = [0.0, 1.0].map(signed);
     // Where it crosses edges, and between.
     let crossing = |(from, to): ([f64; 2], [f64; 2])| {
         let edge = minus(to, from);
@@ -55,12 +58,32 @@ pub(super) fn nearest_shares(vertices: &[[f64; 2]], a: [f64; 2], b: [f64; 2]) ->
         (intersect((a, b), (from, to)) && share.is_finite()).then_some(share)
     };
     let mut crossings: Vec<f64> = edges(vertices).filter_map(crossing).collect();
+    if crossings.is_empty() && ends.iter().all(|distance| *distance > 0.0) {
+        // Of two segments that do not cross, the nearest points include an end of one.
+        let corners = vertices.iter().map(|&corner| {
+            let [x, z] = minus(corner, at(share_nearest(corner, a, b)));
+            x.hypot(z)
+        });
+        return least(corners.chain(ends));
+    }
     crossings.extend([0.0, 1.0]);
     crossings.sort_by(f64::total_cmp);
+    crossings.truncate(MOST_CROSSINGS);
     let between = crossings.windows(2).map(|pair| (pair[0] + pair[1]) / 2.0);
-    // Of two segments that do not cross, the nearest points include an end of one.
-    let corners = vertices.iter().map(|&corner| share_nearest(corner, a, b));
-    corners.chain(between).chain([0.0, 1.0]).collect()
+    let shares = between.chain(crossings.iter().copied());
+    least(shares.map(signed).chain(ends))
+}
+
+/// Most crossings of a segment whose surroundings are measured, from the start on.
+const MOST_CROSSINGS: usize = 32;
+
+/// The smallest number; NaN is not hidden.
+pub(super) fn least(numbers: impl IntoIterator<Item = f64>) -> f64 {
+    let numbers = numbers.into_iter();
+    numbers.fold(f64::INFINITY, |least, number| match number < least {
+        false if !number.is_nan() => least,
+        _ => number,
+    })
 }
 
 /// The share of the segment from `a` to `b` that is nearest to a point.

@@ -45,6 +45,35 @@ fn a_goal_reads_and_writes_as_a_document() {
 }
 
 #[test]
+fn long_lists_are_refused_or_take_one_step_for_each_entry() {
+    let ring = |corners: usize, radius: f64| {
+        let turn = |i: usize| std::f64::consts::TAU * i as f64 / corners as f64;
+        let corner = |i| [radius * turn(i).cos(), radius * turn(i).sin()];
+        Obstacle::Polygon {
+            vertices: (0..corners).map(corner).collect(),
+        }
+    };
+    let mut goal = Goal::new(MAX_FRAMES);
+    goal.obstacles = vec![ring(500, 1.0), ring(1500, 2.0)];
+    goal.validate().unwrap();
+    // By pairs of edges this would take minutes.
+    goal.obstacles.push(ring(300_000, 3.0));
+    let refused = message(&goal);
+    assert!(
+        refused.contains("polygons with 302000 corners in all"),
+        "{refused}"
+    );
+    goal.obstacles.clear();
+    goal.keyframes = (0..MAX_FRAMES)
+        .map(|frame| keyframe(frame, 0.0, 0.0))
+        .collect();
+    goal.validate().unwrap();
+    goal.keyframes[MAX_FRAMES - 1].frame = 7;
+    let refused = message(&goal);
+    assert!(refused.contains("like that of `keyframe[7]`"), "{refused}");
+}
+
+#[test]
 fn unknown_keys_are_refused() {
     for json in [
         r#"{"frames": 3, "keyframes": []}"#,

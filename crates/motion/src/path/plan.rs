@@ -113,7 +113,7 @@ impl PathPlan {
         }
     }
 
-    /// The path by arc length; splines have 64 segments between neighboring points.
+    /// The path by arc length ([`CatmullRom::polyline`]).
     ///
     /// # Errors
     /// [`PathError::TooFewPoints`], [`PathError::NotAPoint`].

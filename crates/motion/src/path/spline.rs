@@ -12,6 +12,9 @@ const SAME: f64 = 1e-8;
 /// Straight pieces of a segment.
 const STEPS: usize = 64;
 
+/// Most straight pieces of a curve with fewer segments.
+const MOST_PIECES: usize = 1 << 20;
+
 /// Parameterization of a spline: the knot distance is the point distance to this power.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -122,11 +125,13 @@ impl CatmullRom {
         (value, slope.map(|by_t| by_t * unit))
     }
 
-    /// The curve as a line with 64 straight pieces per segment.
+    /// The curve as a line with 64 straight pieces per segment, or fewer of more than 16384
+    /// segments: at most 2^20 in all, but at least one per segment.
     pub fn polyline(&self) -> Polyline {
         let mut points = vec![self.at(0, 0.0).0];
+        let steps = (MOST_PIECES / self.segments()).clamp(1, STEPS);
         for segment in 0..self.segments() {
-            points.extend((1..=STEPS).map(|i| self.at(segment, i as f64 / STEPS as f64).0));
+            points.extend((1..=steps).map(|i| self.at(segment, i as f64 / steps as f64).0));
         }
         Polyline::through(points)
     }
@@ -135,6 +140,19 @@ impl CatmullRom {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_pieces_of_long_lists_have_a_bound() {
+        for (count, pieces) in [
+            (100, 99 * 64),
+            (350_000, 349_999 * 2),
+            (1_500_000, 1_499_999),
+        ] {
+            let points: Vec<[f64; 2]> = (0..count).map(|i| [0.001 * f64::from(i), 0.0]).collect();
+            let spline = CatmullRom::new(&points, Parameterization::default(), false).unwrap();
+            assert_eq!(spline.polyline().points().len(), pieces + 1);
+        }
+    }
 
     #[test]
     fn a_spline_goes_through_its_points_and_closes_without_a_corner() {

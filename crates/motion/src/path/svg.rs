@@ -1,5 +1,7 @@
 //! Paths in SVG files.
 
+use std::cell::Cell;
+
 use kurbo::{BezPath, PathEl};
 use roxmltree::{Document, Node, ParsingOptions};
 
@@ -13,6 +15,9 @@ const SCALES: std::ops::RangeInclusive<f64> = 1e-6..=1e4;
 
 /// SVG elements whose children are not rendered in place.
 const HIDDEN: [&str; 6] = ["defs", "clipPath", "marker", "mask", "pattern", "symbol"];
+
+/// Most straight pieces of a path.
+const MOST_PIECES: usize = 1 << 20;
 
 /// Largest number of nodes of a file; entities can multiply nodes.
 const MOST_NODES: u32 = 1 << 20;
@@ -35,16 +40,7 @@ pub(super) fn read_svg(text: &str, scale: f64) -> Result<(Vec<[f64; 2]>, bool), 
     };
     let document = Document::parse_with_options(text, options);
     let document = document.map_err(|error| format!("it is not SVG: {error}"))?;
-    let names = ["path", "polyline", "polygon", "line"];
-    let is_path = |node: &Node| {
-        let hidden = node.ancestors().any(|node| {
-            HIDDEN.contains(&node.tag_name().name())
-                || node.attribute("display") == Some("none")
-                || style_of(&node).contains("display:none")
-        });
-        node.is_element() && names.contains(&node.tag_name().name()) && !hidden
-    };
-    let node = document.descendants().find(is_path);
+    let node = first_path(document.root());
     let node = node.ok_or("it contains no `path`, `polyline`, `polygon` or `line`")?;
     let turned =
         |node: Node| node.has_attribute("transform") || style_of(&node).contains("transform");
@@ -68,11 +64,13 @@ pub(super) fn read_svg(text: &str, scale: f64) -> Result<(Vec<[f64; 2]>, bool), 
             point.x, point.y
         ));
     }
-    let (mut path, mut closed, mut parts) = (Vec::new(), false, 0);
-    kurbo::flatten(outline, TOLERANCE / scale, |element| {
-        parts += usize::from(matches!(element, PathEl::MoveTo(_)));
+    let (mut path, mut closed) = (Vec::new(), false);
+    let pieces = Cell::new(0);
+    let is_next = |element: &PathEl| matches!(element, PathEl::MoveTo(_)) && pieces.get() > 0;
+    let first = outline.iter();
+    let first = first.take_while(|element| !is_next(element) && pieces.get() <= MOST_PIECES);
+    kurbo::flatten(first, TOLERANCE / scale, |element| {
         match element {
-            _ if parts > 1 => {}
             // The upward direction of the page is +z.
             PathEl::MoveTo(point) | PathEl::LineTo(point) => {
                 path.push([scale * point.x, -scale * point.y]);
@@ -80,8 +78,37 @@ pub(super) fn read_svg(text: &str, scale: f64) -> Result<(Vec<[f64; 2]>, bool), 
             PathEl::ClosePath => closed = true,
             _ => unreachable!("a flattened path has lines only"),
         }
+        pieces.set(path.len());
     });
+    if path.len() > MOST_PIECES {
+        return Err(format!(
+            "its path has more than {MOST_PIECES} straight pieces, of 1 mm accuracy: simplify it, or \
+             state the length of a unit with a smaller option `metres_per_unit`"
+        ));
+    }
     Ok((path, closed))
+}
+
+/// The first rendered element that is a path.
+fn first_path<'a, 'i>(root: Node<'a, 'i>) -> Option<Node<'a, 'i>> {
+    let names = ["path", "polyline", "polygon", "line"];
+    let mut next = root.first_element_child();
+    while let Some(node) = next {
+        let name = node.tag_name().name();
+        let is_hidden = HIDDEN.contains(&name)
+            || node.attribute("display") == Some("none")
+            || style_of(&node).contains("display:none");
+        if names.contains(&name) && !is_hidden {
+            return Some(node);
+        }
+        let inside = node.first_element_child().filter(|_| !is_hidden);
+        let behind = || {
+            node.ancestors()
+                .find_map(|above| above.next_sibling_element())
+        };
+        next = inside.or_else(behind);
+    }
+    None
 }
 
 /// A node's style without spaces.
@@ -148,6 +175,40 @@ mod tests {
         );
         let (points, _) = read_svg(&text, 1.0).unwrap();
         assert_eq!(points, [[0.0, 0.0], [0.0, 3.0]]);
+    }
+
+    #[test]
+    fn curves_have_a_bound_and_deep_drawings_take_one_step_for_each_node() {
+        let curves = |count: usize| {
+            let curve = " C 4999 4999 -4999 4999 0 0";
+            svg(&format!("<path d='M0 0{}'/>", curve.repeat(count)))
+        };
+        let found = read_svg(&curves(2), 1.0).unwrap().0.len();
+        assert!(found < 20_000, "{found}");
+        // Without a bound, these would be millions of points.
+        let problem = read_svg(&curves(2000), 1.0).unwrap_err();
+        assert!(
+            problem.contains("more than 1048576 straight pieces"),
+            "{problem}"
+        );
+        // With a look at all elements above each, this would take minutes.
+        let deep = 100_000;
+        let open = "<g><text/>".repeat(deep);
+        let text = format!(
+            "<svg>{open}{}<path d='M0 0L1 1'/></svg>",
+            "</g>".repeat(deep)
+        );
+        match read_svg(&text, 1.0) {
+            Ok((points, _)) => assert_eq!(points.len(), 2),
+            Err(problem) => assert!(problem.contains("it is not SVG"), "{problem}"),
+        }
+        let deep = 500;
+        let open = "<g><path style='display:none' d='M0 0L2 2'/>".repeat(deep);
+        let text = format!(
+            "<svg>{open}{}<path d='M0 0L1 1'/></svg>",
+            "</g>".repeat(deep)
+        );
+        assert_eq!(read_svg(&text, 1.0).unwrap().0[1], [1.0, -1.0]);
     }
 
     #[test]

@@ -46,6 +46,16 @@ fn coherent_phrases_pass() {
 }
 
 #[test]
+fn a_phrase_without_any_error_passes_bounds_of_zero() {
+    let mut still = Phrase::new(vec![0.0; 120 * crate::CHANNELS]).unwrap();
+    (0..120).for_each(|t| still.set_quaternion(t, Quaternion::IDENTITY));
+    let training = crate::phrase_statistics([&still, &still]).unwrap();
+    assert_eq!(training.rms_speed, Some(0.0));
+    let report = check(&still, &training);
+    assert!(report.passed, "{report:#?}");
+}
+
+#[test]
 fn a_single_frame_of_wrong_norm_or_sign_fails() {
     let scale =
         |factor: f64| failing(move |m| m.set_quaternion(30, m.quaternion(30).scale(factor)));

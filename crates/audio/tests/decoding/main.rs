@@ -1,5 +1,8 @@
 //! Decoding of half a second in four formats, of unusual files, and of damaged files.
 
+mod mp3;
+mod wav;
+
 use std::f64::consts::TAU;
 use std::io::Cursor;
 use std::path::PathBuf;
