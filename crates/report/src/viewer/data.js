@@ -2,7 +2,7 @@
 
 const GAP = 65535;
 
-// Extremes of numbers. `Math.max(...values)` fails for a hundred thousand values.
+// Extremes of numbers. As arguments of `Math.max`, a hundred thousand values fail.
 const largest = (values) => values.reduce((most, value) => Math.max(most, value), -Infinity);
 const smallest = (values) => values.reduce((least, value) => Math.min(least, value), Infinity);
 
