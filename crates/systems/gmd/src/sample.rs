@@ -182,10 +182,9 @@ impl<'a> Clips<'a> {
                 sink.warning(&format!("{}: {warning}", file.display()));
             }
         }
-        if let Some(path) = &self.path {
-            if let Some(warning) = path.too_fast(fps, fastest) {
-                sink.warning(&warning);
-            }
+        let path = self.path.as_ref();
+        if let Some(warning) = path.and_then(|path| path.too_fast(fps, fastest)) {
+            sink.warning(&warning);
         }
         let stage = request.trajectory().cloned().map(Condition::Trajectory);
         let shared: Vec<Condition> = request.text_conditions().chain(stage).collect();
