@@ -11,6 +11,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::calls::{call, until_interrupted};
+use crate::errors::shown;
 
 /// Passes events to a Python callable `event(kind, fields)`, and stops the training if the callable
 /// or a signal handler raises.

@@ -248,7 +248,7 @@ mod tests {
         let steering = StageSteering::of_goals(&config, &goals, model).unwrap();
         let imputed = [20, 19, 0].map(|t| {
             let mask = steering.at(t).imputation.expect("imputed").mask;
-            [0, 1].map(|i| mask.clone().slice([i..i + 1]).sum().into_scalar::<f32>() / 2.0)
+            [0, 1].map(|i| mask.clone().narrow(0, i, 1).sum().into_scalar::<f32>() / 2.0)
         });
         assert_eq!(imputed, [[6.0, 1.0], [6.0, 0.0], [6.0, 0.0]]);
     }
