@@ -35,7 +35,7 @@ pub enum BodyMeasure {
     /// Mean speed of the root on the ground divided by the mean speed of the joints around it, to
     /// which 0.05 m/s are added. A statue that is carried around has a large value.
     Glide,
-    /// Share of the steps in which a foot slides ([`sliding_ratio`]).
+    /// Share of the steps in which a foot slides ([`sliding_ratio`](crate::metrics::sliding_ratio)).
     Skating,
     /// Lowest height of a joint, metres.
     Lowest,
