@@ -1,4 +1,4 @@
-//! What the program writes and prints: atomic [files](write), [text](message) without control
+//! What the program writes and prints: atomic [files](write()), [text](message) without control
 //! characters, and [paths](path_text) in JSON.
 //!
 //! No other crate of kinegrad opens a file for writing.
