@@ -17,7 +17,7 @@ from runs import SEAL, checkpoints, resealed, sealed
 
 Damage = Callable[[random.Random, bytes, list[bytes]], bytes]
 
-ONE_STEP = ["--steps", "1", "--out", "out", "--overwrite"]
+ONE_STEP = ["--steps", "1", "--out", "out", "--overwrite", "--allow-unusable"]
 RUN = "{run}"
 """Placeholder for the run of a recipe, in a command that is tried with each."""
 

@@ -55,7 +55,8 @@ class Recipe:
     def use(self, run: object, out: str = "sample") -> list[str]:
         """The shortest command that uses the weights of a run; samples are called `out`."""
         if self.generates:
-            return ["sample", str(run), "--steps", "1", "--out", out, "--overwrite"]
+            options = ["--steps", "1", "--overwrite", "--allow-unusable"]
+            return ["sample", str(run), "--out", out, *options]
         return ["eval", str(run)]
 
 

@@ -21,6 +21,25 @@ pub fn is_unfinished(path: &Path) -> bool {
     name.starts_with(PREFIX) && name.ends_with(ENDING)
 }
 
+/// Removes the temporary files that interrupted processes left in `folder` and in the folders within
+/// it, but not behind links.
+pub fn remove_unfinished(folder: &Path) {
+    let entries = |folder: &Path| -> Vec<PathBuf> {
+        let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+        entries.map(|entry| entry.path()).collect()
+    };
+    let inside = entries(folder).into_iter();
+    let (folders, files): (Vec<_>, Vec<_>) =
+        inside.partition(|path| path.is_dir() && !path.is_symlink());
+    let files = files.into_iter();
+    for file in files.chain(folders.iter().flat_map(|folder| entries(folder))) {
+        if is_unfinished(&file) {
+            // Another process may have removed it.
+            let _ = fs::remove_file(file);
+        }
+    }
+}
+
 /// A temporary file beside its target, under a new and unpredictable name. Removed unless it is
 /// [finished](Self::finish).
 #[derive(Debug)]
@@ -234,6 +253,20 @@ mod tests {
         for name in ["file", "a.tmp", ".writing-samples", "b.txt.1996-149.tmp"] {
             assert!(!is_unfinished(Path::new(name)), "{name}");
         }
+    }
+
+    #[test]
+    fn what_interrupted_processes_left_is_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let inner = folder.path().join("inner");
+        fs::create_dir(&inner).unwrap();
+        for path in [folder.path(), &inner] {
+            fs::write(path.join(".writing-0123456789.tmp"), "half").unwrap();
+            fs::write(path.join("file"), "whole").unwrap();
+        }
+        remove_unfinished(folder.path());
+        assert_eq!(names(&inner), ["file"]);
+        assert_eq!(names(folder.path()), ["file", "inner"]);
     }
 
     #[cfg(unix)]

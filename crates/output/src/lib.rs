@@ -20,7 +20,9 @@ mod folder;
 mod paths;
 mod text;
 
-pub use file::{Unfinished, append, is_unfinished, lock, must_be_writable, write, write_new};
+pub use file::{
+    Unfinished, append, is_unfinished, lock, must_be_writable, remove_unfinished, write, write_new,
+};
 pub use folder::UnfinishedFolder;
 pub use paths::{PathText, path_text};
 pub use text::{MOST, block, cell, is_formula, line, message};

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeSet, HashMap};
 use std::fs::{self, File, TryLockError};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Mutex;
 use std::time::UNIX_EPOCH;
 
@@ -54,19 +54,7 @@ fn remove_unfinished(store: &Store) -> Result<(), Error> {
     let Some(root) = prepared.parent().and_then(Path::parent) else {
         return Ok(());
     };
-    let entries = |folder: &Path| -> Vec<PathBuf> {
-        let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-        entries.map(|entry| entry.path()).collect()
-    };
-    let inside = entries(root).into_iter();
-    let (folders, files): (Vec<_>, Vec<_>) = inside.partition(|path| path.is_dir());
-    let files = files.into_iter();
-    for file in files.chain(folders.iter().flat_map(|folder| entries(folder))) {
-        if kinegrad_output::is_unfinished(&file) {
-            // Another process may have removed it.
-            let _ = fs::remove_file(file);
-        }
-    }
+    kinegrad_output::remove_unfinished(root);
     Ok(())
 }
 

@@ -316,6 +316,9 @@ fn write_start(
         ..
     } = outcome;
     let checkpoints = Checkpoints::of(folder);
+    if is_resumed {
+        kinegrad_output::remove_unfinished(folder);
+    }
     if is_resumed && checkpoints.best() != progress.best() {
         // A crash may have come between the checkpoint and the record of the best step.
         checkpoints.set_best(progress.best().as_ref())?;
