@@ -132,6 +132,25 @@ impl Features {
         }
     }
 
+    /// The clip whose root leaves frame `last` with the step by which it came: all later frames are
+    /// moved over the ground. Unchanged without a frame before and after `last`.
+    #[must_use]
+    pub fn continued_after(&self, last: usize) -> Self {
+        if last == 0 || last + 1 >= self.frames() {
+            return self.clone();
+        }
+        let mut moved = self.to_absolute();
+        let at = |t: usize, axis: usize| moved.frame(t)[axis];
+        let shift =
+            [1, 2].map(|axis| 2.0 * at(last, axis) - at(last - 1, axis) - at(last + 1, axis));
+        let rows = moved.values.chunks_exact_mut(moved.layout.channels());
+        for row in rows.skip(last + 1) {
+            row[1] += shift[0];
+            row[2] += shift[1];
+        }
+        moved.with_root(self.root)
+    }
+
     /// The joints by the positions in the features, `[frames, J, 3]`.
     pub fn joints(&self) -> Joints {
         let count = self.layout.joints();
@@ -208,6 +227,29 @@ mod tests {
 
     use super::super::{Extraction, test_clip};
     use super::*;
+
+    #[test]
+    fn a_clip_is_continued_with_the_step_before() {
+        let layout = FeatureLayout::of_joints(22).unwrap();
+        let mut values = vec![0.0; 6 * layout.channels()];
+        let rows = values.chunks_exact_mut(layout.channels());
+        for (row, z) in rows.zip([0.0, 1.0, 2.0, 7.0, 7.5, 8.5]) {
+            row[2] = z;
+        }
+        let clip = Features::new(values, layout, Root::Absolute).unwrap();
+        let places = |clip: &Features| -> Vec<f64> {
+            let positions = clip.root_positions().into_iter();
+            positions.map(|[_, _, z]| z).collect()
+        };
+        let moved = clip.continued_after(2);
+        assert_eq!(places(&moved), [0.0, 1.0, 2.0, 3.0, 3.5, 4.5]);
+        let relative = clip.to_relative().continued_after(2);
+        let mut far = places(&relative).into_iter().zip(places(&moved));
+        assert!(far.all(|(a, b)| (a - b).abs() < 1e-5));
+        for last in [0, 5, 6] {
+            assert_eq!(clip.continued_after(last), clip);
+        }
+    }
 
     /// Relative features like those of a real clip: small changes, other channels equal to their
     /// index.

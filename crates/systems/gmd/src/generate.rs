@@ -256,7 +256,18 @@ impl ClipGenerator {
                 self.paths(x).into_iter().map(of_path).collect()
             }
             RecipeName::Motion => {
-                let features = self.features(x)?.into_iter();
+                // The root is on a detour up to its end, where free frames follow.
+                let is_alone = paths.is_none() && steering.imputation;
+                let end = |index: usize| {
+                    let goal: &Goal = goals.get(index).filter(|_| is_alone)?;
+                    let frames = goal.keyframes.iter().map(|keyframe| keyframe.frame);
+                    frames.max().filter(|_| steering.has_detours(goal))
+                };
+                let features = self.features(x)?.into_iter().enumerate();
+                let features = features.map(|(index, features)| match end(index) {
+                    Some(last) => features.continued_after(last),
+                    None => features,
+                });
                 let paths = paths.into_iter().flatten().map(Some);
                 let samples = features
                     .map(GeneratedClip::of)

@@ -78,8 +78,7 @@ impl<'a> StageSteering<'a> {
         model: StageModel<'a>,
     ) -> Result<Self, Error> {
         let loss = GuidanceLoss::new(&config.guidance, goals, model.frames)?;
-        let has_detours =
-            |goal: &Goal| config.detours && goal.trajectory.is_none() && !goal.obstacles.is_empty();
+        let has_detours = |goal: &Goal| config.has_detours(goal);
         // Beyond the dense phase too: the model would take the straight line again.
         let known = |otherwise: fn(&Goal) -> GroundTargets| {
             model.known(goals.iter().map(|goal| match has_detours(goal) {

@@ -1,7 +1,7 @@
 //! The table `steering`: guidance and imputation for goals.
 
 use kinegrad_diffusion::SamplerConfig;
-use kinegrad_motion::goal::{GuidanceConfig, GuidanceSchedule};
+use kinegrad_motion::goal::{Goal, GuidanceConfig, GuidanceSchedule};
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range};
 use kinegrad_train::config::PLAIN;
 use schemars::JsonSchema;
@@ -95,6 +95,11 @@ impl SteeringConfig {
             Padding::Zeros => target_frames,
             Padding::Sampled => target_frames - target_frames / 10,
         }
+    }
+
+    /// True if the lines between the keyframes of `goal` go around its obstacles.
+    pub(super) fn has_detours(&self, goal: &Goal) -> bool {
+        self.detours && goal.trajectory.is_none() && !goal.obstacles.is_empty()
     }
 
     /// The settings along a path with a position for each frame: unless `schedule.motion_until` says
