@@ -321,7 +321,7 @@ fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
         ("dance.bvh --length soon", &["times all examples, as 2x"]),
         (
             "dance.bvh --parts parts.toml",
-            &["parts.toml: there is no joint `Wing`"],
+            &["parts.toml: no joint is named `Wing`"],
         ),
         ("dance.bvh --parts none.toml", &["none.toml cannot be read"]),
         (

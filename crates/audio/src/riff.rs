@@ -130,9 +130,12 @@ impl Format {
             EXTENSIBLE => more(24)?.unwrap_or(PCM),
             tag => tag,
         };
-        let bits = match more(14)? {
-            None | Some(0) => (block / channels.max(1)).saturating_mul(8),
-            Some(bits) => bits.div_ceil(8).saturating_mul(8),
+        let stored = (block / channels.max(1)).saturating_mul(8);
+        let bits = match more(14)?.map(|bits| bits.div_ceil(8).saturating_mul(8)) {
+            None | Some(0) => stored,
+            // The upper bytes of four.
+            Some(24) if stored == 32 => stored,
+            Some(bits) => bits,
         };
         Ok(Some(Self {
             tag,

@@ -248,7 +248,7 @@ impl Part {
                 return Ok(of(found, *has_root));
             }
         }
-        if let Some(joint) = find(joints, name) {
+        if let Some(joint) = by_name(joints).get(name).copied() {
             let below: Vec<usize> = subtree(joints, joint).collect();
             let has_root = below.contains(&layout.root_joint);
             return Ok(of(below, has_root));
@@ -279,13 +279,8 @@ pub fn feet(joints: &[Joint]) -> Vec<usize> {
 fn no_joint(layout: &MotionMatrix, name: &str, file: &str) -> Error {
     let names = layout.joints().iter().map(|joint| bare_name(&joint.name));
     let names: Vec<&str> = names.collect();
-    let problem = format!("there is no joint `{name}`");
+    let problem = format!("no joint is named `{name}`");
     Error::file(file, problem, format!("joints: {}", names.join(", ")))
-}
-
-/// The joint of a name, with or without its namespace.
-fn find(joints: &[Joint], name: &str) -> Option<usize> {
-    by_name(joints).get(name).copied()
 }
 
 /// The first joint of each name, with and without its namespace.

@@ -150,32 +150,17 @@ impl BodyMeasure {
     /// The sides on which it is checked, and by which factor.
     pub fn bounds(self) -> Bounds {
         let margin = |share, least| Margin { share, least };
+        let upper_beyond = |harmless| Bounds::UpperBeyond {
+            factor: FACTOR,
+            harmless,
+            end: f64::INFINITY,
+        };
         match self {
-            Self::FastestRoot => Bounds::UpperBeyond {
-                factor: FACTOR,
-                harmless: 1.0,
-                end: f64::INFINITY,
-            },
-            Self::FastestJoint => Bounds::UpperBeyond {
-                factor: FACTOR,
-                harmless: 3.0,
-                end: f64::INFINITY,
-            },
-            Self::LargestTurn => Bounds::UpperBeyond {
-                factor: FACTOR,
-                harmless: 360.0,
-                end: f64::INFINITY,
-            },
-            Self::RootAcceleration => Bounds::UpperBeyond {
-                factor: FACTOR,
-                harmless: 20.0,
-                end: f64::INFINITY,
-            },
-            Self::TurnAcceleration => Bounds::UpperBeyond {
-                factor: FACTOR,
-                harmless: 5000.0,
-                end: f64::INFINITY,
-            },
+            Self::FastestRoot => upper_beyond(1.0),
+            Self::FastestJoint => upper_beyond(3.0),
+            Self::LargestTurn => upper_beyond(360.0),
+            Self::RootAcceleration => upper_beyond(20.0),
+            Self::TurnAcceleration => upper_beyond(5000.0),
             Self::Jerk99 | Self::LargestJerk => Bounds::Upper(FACTOR),
             // The extremes are checked, and the mean jerk against the 95th percentile.
             Self::MeanSpeed | Self::Speed99 | Self::MeanJerk => Bounds::Unchecked,

@@ -144,21 +144,9 @@ impl SongFormat {
             rest = rest.get(10 + size..)?;
         }
         match *rest {
-            [
-                b'R',
-                b'I',
-                b'F',
-                b'F',
-                _,
-                _,
-                _,
-                _,
-                b'W',
-                b'A',
-                b'V',
-                b'E',
-                ..,
-            ] => Some(Self::Wav),
+            [b'R', b'I', b'F', b'F', _, _, _, _, ref form @ ..] if form.starts_with(b"WAVE") => {
+                Some(Self::Wav)
+            }
             [b'f', b'L', b'a', b'C', ..] => Some(Self::Flac),
             [b'O', b'g', b'g', b'S', ..] => Some(Self::Ogg),
             // Eleven bits set, then version and layer, which AAC does not have.

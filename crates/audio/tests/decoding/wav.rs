@@ -94,6 +94,14 @@ fn formats_may_have_any_length() {
     // 12 bits are stored in 16, and 20 in 24.
     let chunks = [chunk(b"fmt ", &format(1, 12)), data];
     is_read(riff(0, &chunks), "12 bits");
+    // 24 bits are stored in 32.
+    let mut fields = format(1, 32);
+    fields[14] = 24;
+    let samples = [1 << 30, -(1 << 30), 1 << 16]
+        .map(i32::to_le_bytes)
+        .concat();
+    let chunks = [chunk(b"fmt ", &fields), chunk(b"data", &samples)];
+    is_read(riff(0, &chunks), "24 bits in 32");
 }
 
 #[test]
