@@ -379,7 +379,7 @@ mod tests {
         for (text, message) in [
             (
                 "[[part]]\nname = 'a'\njoints = ['Tail']\n",
-                "no joint `Tail`",
+                "no joint is named `Tail`",
             ),
             ("[[part]]\nname = 'a'\n", "part `a` has no joints"),
             (
