@@ -20,6 +20,9 @@ pub struct GroundRecord {
     /// Number of samples that were out of bounds before it and were replaced.
     #[serde(default)]
     pub rejected: usize,
+    /// The path of a first stage, which the sample follows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub first_stage: Option<Box<GroundRecord>>,
 }
 
 impl GroundRecord {
@@ -45,6 +48,7 @@ impl GroundRecord {
             start: ground.first().map_or(0.0, |[x, z]| x.hypot(*z)),
             clearance: clearance(ground, obstacles),
             rejected: 0,
+            first_stage: None,
         }
     }
 
@@ -64,6 +68,17 @@ impl GroundRecord {
         if is_finite { excess } else { f64::INFINITY }
     }
 
+    /// True if the root moves faster than [`MOST`](Self::MOST) allows.
+    pub fn is_fast(&self) -> bool {
+        self.speed() > Self::MOST
+    }
+
+    /// True if the root is inside an obstacle, or crosses one, in a frame.
+    pub fn is_inside(&self) -> bool {
+        let inside = |clearance: Clearance| clearance.frames_inside > 0;
+        self.clearance.is_some_and(inside)
+    }
+
     /// True if the root moves faster than [`FAR`](Self::FAR) allows.
     pub fn is_far(&self) -> bool {
         self.speed() > Self::FAR
@@ -73,7 +88,7 @@ impl GroundRecord {
     pub fn warning(&self, name: &str) -> Option<String> {
         let mut faults = Vec::new();
         if let Some(step) = self.fastest_step
-            && self.speed() > Self::MOST
+            && self.is_fast()
         {
             let verdict = match self.is_far() {
                 true => ": this motion is not usable",
@@ -87,7 +102,7 @@ impl GroundRecord {
             ));
         }
         if let Some(clearance) = self.clearance
-            && clearance.frames_inside > 0
+            && self.is_inside()
         {
             faults.push(format!(
                 "the root is inside an obstacle, or crosses it, in {}, deepest in frame {} ({:.3} m)",
@@ -100,7 +115,15 @@ impl GroundRecord {
             let start = self.start;
             faults.push(format!("the first frame is {start:.2} m from the origin"));
         }
-        (!faults.is_empty()).then(|| format!("{name}: {}", faults.join("; ")))
+        let own = (!faults.is_empty()).then(|| format!("{name}: {}", faults.join("; ")));
+        let name = format!("{name}, first stage");
+        let first = self
+            .first_stage
+            .as_ref()
+            .and_then(|path| path.warning(&name));
+        own.into_iter()
+            .chain(first)
+            .reduce(|own, first| format!("{own}; {first}"))
     }
 }
 

@@ -16,11 +16,11 @@ use kinegrad_train::evaluation::{
     EvaluationRequest, Group, Metrics, OnStep, Replicated, Results, for_each_item, replicate,
     with_sampling,
 };
-use kinegrad_train::sampling::item_seed;
+use kinegrad_train::sampling::{GroundRecord, item_seed};
 use serde_json::json;
 
 use super::{GoalTask, VarietyReport};
-use crate::generate::keys;
+use crate::generate::{GroundBounds, keys};
 use crate::{ClipGenerator, ClipRequest, GeneratedClip, GmdConfig};
 
 const DIVERSITY_PAIRS: usize = 200;
@@ -41,6 +41,8 @@ pub(super) struct GoalEvaluation<'a> {
 struct Replication {
     samples: GoalReport,
     real: GoalReport,
+    /// The root paths of samples and of real clips.
+    grounds: [Vec<GroundRecord>; 2],
     text_motion: Option<TextMotionReports>,
     variety: Option<VarietyReport>,
 }
@@ -113,7 +115,7 @@ impl GoalEvaluation<'_> {
             facts: Vec::new(),
             samples: Some(of_samples),
             real: of_real,
-            verdict: Vec::new(),
+            verdict: vec![verdict(&replications)],
             remarks,
         })
     }
@@ -168,6 +170,13 @@ impl GoalEvaluation<'_> {
             GeneratedClip::of(clip.features.slice(0..goal.frames).to_absolute())
         });
         let real: Vec<GeneratedClip> = real.collect();
+        let bounds = GroundBounds::of_generator(self.generator);
+        let grounds = |clips: &[GeneratedClip]| {
+            let each = clips.iter().zip(&goals);
+            each.map(|(clip, goal)| bounds.measured(clip, Some(goal)))
+                .collect()
+        };
+        let grounds = [grounds(&samples), grounds(&real)];
         let (samples, real) = (Measured::new(&samples), Measured::new(&real));
         let text_motion = match (evaluator, samples.clips.len() == held_out.len()) {
             (Some(evaluator), true) => {
@@ -189,10 +198,27 @@ impl GoalEvaluation<'_> {
                 frechet_distance: between_halves(&real.features, seed),
                 ..real.report(self.generator, &goals, &real)
             },
+            grounds,
             text_motion,
             variety,
         })
     }
+}
+
+/// How many root paths of samples and of real clips are out of bounds, over all replications.
+fn verdict(replications: &[Replication]) -> String {
+    let count = |which: usize, is: fn(&GroundRecord) -> bool| {
+        let all = replications.iter().flat_map(|each| &each.grounds[which]);
+        all.filter(|ground| is(ground)).count()
+    };
+    let [out, real] = [0, 1].map(|which| count(which, |ground| ground.excess() > 0.0));
+    let (all, fast) = (count(0, |_| true), count(0, GroundRecord::is_fast));
+    let inside = count(0, GroundRecord::is_inside);
+    let reasons = match out {
+        0 => String::new(),
+        _ => format!(": too fast {fast}, inside an obstacle {inside}"),
+    };
+    format!("{out} of {all} root paths of the samples are out of bounds{reasons} (real: {real})")
 }
 
 /// The mean distance between two halves of the feature vectors, over [`DIVISIONS`] random

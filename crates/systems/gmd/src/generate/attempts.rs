@@ -27,6 +27,12 @@ impl GroundBounds {
         Self::new(&trained.saved.state.statistics, &skeleton)
     }
 
+    /// That of a generator's training.
+    pub fn of_generator(generator: &ClipGenerator) -> Self {
+        let skeleton = generator.config().data.humanml3d.skeleton.skeleton();
+        Self::new(&generator.state.statistics, &skeleton)
+    }
+
     fn new(statistics: &Statistics, skeleton: &Skeleton) -> Self {
         Self {
             fps: skeleton.description().fps,
@@ -37,9 +43,12 @@ impl GroundBounds {
     /// The measures of a clip's root path, with the obstacles of its goal.
     pub fn measured(&self, clip: &GeneratedClip, goal: Option<&Goal>) -> GroundRecord {
         let obstacles = goal.map_or(&[][..], |goal| &goal.obstacles);
+        let of = |ground: &[_]| GroundRecord::of(ground, obstacles, self.fps, self.fastest);
+        let first_stage = clip.path.as_ref().map(|path| Box::new(of(path)));
         GroundRecord {
             rejected: clip.rejected,
-            ..GroundRecord::of(&clip.ground, obstacles, self.fps, self.fastest)
+            first_stage,
+            ..of(&clip.ground)
         }
     }
 }
@@ -67,8 +76,7 @@ impl ClipGenerator {
         keys: &[NoiseKey],
         on_step: &mut OnStep<'_>,
     ) -> Result<Vec<GeneratedClip>, Error> {
-        let skeleton = self.config().data.humanml3d.skeleton.skeleton();
-        let bounds = GroundBounds::new(&self.state.statistics, &skeleton);
+        let bounds = GroundBounds::of_generator(self);
         let is_path = RecipeName::of(self.config()) == RecipeName::Trajectory;
         let excess = |index: usize, clip: &GeneratedClip| {
             let goal = requests[index].goal.as_ref();
