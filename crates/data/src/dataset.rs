@@ -149,8 +149,8 @@ impl<T: Item> Dataset<T> {
         }
     }
 
-    /// The normalization statistics, from the dataset's files or measured on the training items.
-    /// Fails as [`ItemSet::get`].
+    /// The statistics of the training items. A dataset's files of mean and standard deviation replace
+    /// the measured normalization. Fails as [`ItemSet::get`].
     pub fn statistics(&self) -> Result<Statistics, Error> {
         self.statistics_among(&no_progress, &Alone)
     }
@@ -162,14 +162,18 @@ impl<T: Item> Dataset<T> {
         progress: OpenProgress,
         sharing: &dyn Sharing<Error>,
     ) -> Result<Statistics, Error> {
-        match &self.stored_statistics {
-            Some(statistics) => Ok(statistics.clone()),
-            None => {
-                let (train, rows) = (&self.train, &self.representation);
-                let statistics = train.statistics_among(rows, progress, sharing)?;
-                Ok(statistics.expect("a dataset has an item to train on"))
-            }
-        }
+        let (train, rows) = (&self.train, &self.representation);
+        let measured = train.statistics_among(rows, progress, sharing)?;
+        let measured = measured.expect("a dataset has an item to train on");
+        Ok(match &self.stored_statistics {
+            Some(stored) => Statistics {
+                mean: stored.mean.clone(),
+                std: stored.std.clone(),
+                range: stored.range.clone(),
+                ..measured
+            },
+            None => measured,
+        })
     }
 
     /// Reads the item `id` from either split. Fails as [`ItemSet::get`].

@@ -167,11 +167,11 @@ impl BodyMeasure {
             Self::Glide => Bounds::Upper(FACTOR),
             Self::StillShare => Bounds::NotAbove(margin(0.0, 0.3)),
             Self::Skating => Bounds::NotAbove(margin(0.0, 0.2)),
-            Self::Lowest => Bounds::NotBelow(margin(0.0, 0.05)),
+            Self::Lowest => Bounds::NotBelow(margin(0.0, 0.04)),
             Self::Floating => Bounds::NotAbove(margin(0.0, 0.05)),
             Self::LongestFlight => Bounds::NotAbove(margin(0.0, 0.3)),
             Self::RootHeight => Bounds::Around(margin(0.2, 0.0)),
-            Self::LegLength => Bounds::Around(margin(0.3, 0.0)),
+            Self::LegLength => Bounds::Around(margin(0.15, 0.0)),
         }
     }
 

@@ -31,6 +31,21 @@ const DIP_MARGIN: Margin = Margin {
 /// Tilt in degrees that is always allowed.
 const HARMLESS_TILT: f64 = 20.0;
 
+/// Acceleration that is always allowed, metres per second squared.
+const HARMLESS_ACCELERATION: f64 = 30.0;
+
+/// A root slower than this, metres per second, is still if it does not turn either.
+const STILL_SPEED: f64 = 0.02;
+
+/// Turn rate below which a root is still, degrees per second.
+const STILL_TURN: f64 = 2.0;
+
+/// Allowed share of still steps beyond the training phrases.
+const STILL_MARGIN: Margin = Margin {
+    share: 0.0,
+    least: 0.3,
+};
+
 /// A measure of how a phrase moves.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
 pub enum MotionMeasure {
@@ -62,6 +77,10 @@ pub enum MotionMeasure {
     PhaseRate,
     /// Largest shortest step of the phase between frames, bars.
     LargestPhaseStep,
+    /// Largest acceleration of the root, metres per second squared: that of a jump is large.
+    LargestAcceleration,
+    /// Share of the steps between frames in which the root neither moves nor turns.
+    StillShare,
     /// Distance on the floor between the first and the last position, metres.
     NetTravel,
     /// Number of bar lines that the phase passes, minus those that it passes backwards.
@@ -70,7 +89,7 @@ pub enum MotionMeasure {
 
 impl MotionMeasure {
     /// All measures.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 18] = [
         Self::PathSpeed,
         Self::FastestStep,
         Self::PathAcceleration,
@@ -85,6 +104,8 @@ impl MotionMeasure {
         Self::LargestTilt,
         Self::PhaseRate,
         Self::LargestPhaseStep,
+        Self::LargestAcceleration,
+        Self::StillShare,
         Self::NetTravel,
         Self::PhaseWraps,
     ];
@@ -106,6 +127,8 @@ impl MotionMeasure {
             Self::LargestTilt => "largest_tilt",
             Self::PhaseRate => "phase_rate",
             Self::LargestPhaseStep => "largest_phase_step",
+            Self::LargestAcceleration => "largest_acceleration",
+            Self::StillShare => "still_share",
             Self::NetTravel => "net_travel",
             Self::PhaseWraps => "phase_wraps",
         }
@@ -128,6 +151,8 @@ impl MotionMeasure {
             Self::LargestTilt => "largest tilt from the vertical",
             Self::PhaseRate => "mean advance of the phase",
             Self::LargestPhaseStep => "largest step of the phase from one frame to the next",
+            Self::LargestAcceleration => "largest acceleration of the root",
+            Self::StillShare => "share of the steps without movement",
             Self::NetTravel => "travel from the first frame to the last",
             Self::PhaseWraps => "wraps of the phase",
         }
@@ -137,7 +162,7 @@ impl MotionMeasure {
     pub fn unit(self) -> &'static str {
         match self {
             Self::PathSpeed | Self::FastestStep => "m/s",
-            Self::PathAcceleration => "m/s^2",
+            Self::PathAcceleration | Self::LargestAcceleration => "m/s^2",
             Self::PathJerk => "m/s^3",
             Self::Travel
             | Self::Height
@@ -150,6 +175,7 @@ impl MotionMeasure {
             Self::PhaseRate => "bars/s",
             Self::LargestPhaseStep => "bars",
             Self::PhaseWraps => "bars",
+            Self::StillShare => "",
         }
     }
 
@@ -165,6 +191,12 @@ impl MotionMeasure {
                 harmless: HARMLESS_TILT,
                 end: 180.0,
             },
+            Self::LargestAcceleration => Bounds::UpperBeyond {
+                factor: FACTOR,
+                harmless: HARMLESS_ACCELERATION,
+                end: f64::INFINITY,
+            },
+            Self::StillShare => Bounds::NotAbove(STILL_MARGIN),
             Self::PhaseRate => Bounds::Both(PHASE_FACTOR),
             Self::Height => Bounds::Around(HEIGHT_MARGIN),
             Self::LowestHeight => Bounds::NotBelow(DIP_MARGIN),
@@ -208,6 +240,22 @@ impl MotionMeasure {
             Self::LargestTilt => largest(tilts(motion)),
             Self::PhaseRate => mean(&phase_steps(motion)).map(|step| step * FPS),
             Self::LargestPhaseStep => largest(phase_steps(motion)),
+            Self::LargestAcceleration => {
+                let velocity = differences(&motion.vectors(POSITION), FPS);
+                largest(
+                    differences(&velocity, FPS)
+                        .into_iter()
+                        .map(length)
+                        .collect(),
+                )
+            }
+            Self::StillShare => {
+                let velocity = differences(&motion.vectors(POSITION), FPS);
+                let speeds = velocity.into_iter().map(length).zip(turns(motion));
+                let still =
+                    speeds.map(|(speed, turn)| speed < STILL_SPEED && turn * FPS < STILL_TURN);
+                mean(&still.map(f64::from).collect::<Vec<_>>())
+            }
             Self::NetTravel => (frames > 1).then(|| floor_distance(motion, 0, frames - 1)),
             Self::PhaseWraps => (frames > 1).then(|| phase_wraps(motion)),
         }
@@ -302,6 +350,8 @@ mod tests {
             0.0,
             0.5,
             0.5 / FPS,
+            0.0,
+            0.0,
             2.4,
             2.0,
         ];
@@ -309,7 +359,9 @@ mod tests {
             let value = measure.of(&motion).unwrap();
             // Third differences amplify the rounding to single precision.
             let tolerance = match measure {
-                MotionMeasure::PathJerk | MotionMeasure::TurnAcceleration => 0.05,
+                MotionMeasure::PathJerk
+                | MotionMeasure::TurnAcceleration
+                | MotionMeasure::LargestAcceleration => 0.05,
                 _ => 1e-3,
             };
             assert!((value - expected).abs() < tolerance, "{measure:?}: {value}");
@@ -403,9 +455,26 @@ mod tests {
     }
 
     #[test]
+    fn a_jump_and_a_stop_are_measured() {
+        let mut motion = constant_motion(60);
+        let [x, y, z] = motion.vector(30, POSITION);
+        motion.set_vector(30, POSITION, [x, y + 0.1, z]);
+        // Up and down again by 10 cm within two steps.
+        let jump = MotionMeasure::LargestAcceleration.of(&motion).unwrap();
+        assert!((jump - 0.2 * FPS * FPS).abs() < 0.1, "{jump}");
+        let mut stopped = constant_motion(61);
+        let (place, turn) = (stopped.vector(30, POSITION), stopped.quaternion(30));
+        for t in 31..61 {
+            stopped.set_vector(t, POSITION, place);
+            stopped.set_quaternion(t, turn);
+        }
+        assert_eq!(MotionMeasure::StillShare.of(&stopped), Some(0.5));
+    }
+
+    #[test]
     fn too_few_frames_have_no_value() {
         // From how many frames on each has one.
-        let needed = [2, 2, 3, 4, 31, 1, 1, 1, 2, 3, 2, 1, 2, 2, 2, 2];
+        let needed = [2, 2, 3, 4, 31, 1, 1, 1, 2, 3, 2, 1, 2, 2, 3, 2, 2, 2];
         for frames in [1, 2, 3, 4, 30, 31] {
             let motion = constant_motion(frames);
             for (measure, needed) in MotionMeasure::ALL.into_iter().zip(needed) {

@@ -89,8 +89,15 @@ fn statistics(
     if arguments.profile == Profile::Ccmotion {
         return Ok(None);
     }
+    // Joints have the measures of clips.
+    let skeleton = representation.skeleton().and_then(SkeletonName::of);
     if let Some(state) = state {
-        return Ok(Some(state.statistics_of(representation)?.clone()));
+        let is_of_clips = skeleton == Some(state.config.data.humanml3d.skeleton);
+        let found = match is_of_clips {
+            true => state.clip_statistics(),
+            false => state.statistics_of(representation),
+        };
+        return Ok(Some(found?.clone()));
     }
     let Some(source) = &arguments.source else {
         return Ok(None);
@@ -99,7 +106,7 @@ fn statistics(
         source: Some(source.clone()),
         ..Default::default()
     };
-    match SkeletonName::of_channels(representation.stored_channels()) {
+    match skeleton {
         Some(skeleton) => {
             data.kind = DataKind::Humanml3d;
             data.humanml3d.skeleton = skeleton;

@@ -5,12 +5,14 @@ use std::process::ExitCode;
 
 use kinegrad_data::Digest;
 use kinegrad_data::file::read_text;
+use kinegrad_motion::Statistics;
 use kinegrad_motion::feet::{ContactRule, Planted, lock_joints};
 use kinegrad_motion::humanml::{Extraction, Features, Joints, Skeleton};
 use kinegrad_motion::metrics::BodyQuality;
 use kinegrad_motion::path::{ArcLengthMode, PathPlan, PathReport, Warp};
 use kinegrad_output::path_text;
 use kinegrad_report::table;
+use kinegrad_train::sampling::BodyRecord;
 use kinegrad_train::{Error, Systems};
 use serde::Serialize;
 
@@ -53,6 +55,8 @@ struct Record {
     speed_ratio: f64,
     before: BodyQuality,
     after: PathReport,
+    /// The moved body beside captured people.
+    body: BodyRecord,
 }
 
 /// Locked feet.
@@ -137,6 +141,7 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         speed_ratio: warped.speed_ratio,
         before: BodyQuality::of(&own, &skeleton, floor),
         after: PathReport::of(&moved, &skeleton, &path, &warped.course, floor)?,
+        body: BodyRecord::of(&moved, &skeleton, &Statistics::default()),
         path_content: plan,
     };
     for path in &outputs {
@@ -312,6 +317,9 @@ impl Record {
                 100.0 * after,
                 100.0 * before
             );
+        }
+        if let Some(warning) = self.body.warning("the moved motion") {
+            tell!("warning: {warning}");
         }
         let Some(feet) = &self.feet else { return };
         if feet.in_contact == 0.0 {

@@ -77,6 +77,14 @@ impl SkeletonName {
         }
     }
 
+    /// The name of a skeleton with these joints.
+    pub fn of(skeleton: &Skeleton) -> Option<Self> {
+        let names = |skeleton: &Skeleton| skeleton.description().joint_names.clone();
+        [Self::Humanml3d, Self::Kit]
+            .into_iter()
+            .find(|name| names(&name.skeleton()) == names(skeleton))
+    }
+
     /// The skeleton with this number of feature channels.
     pub fn of_channels(channels: usize) -> Option<Self> {
         [Self::Humanml3d, Self::Kit]

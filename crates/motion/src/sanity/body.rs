@@ -52,7 +52,7 @@ pub(crate) fn check<R: Representation + ?Sized>(
     Report::new(checks)
 }
 
-/// A check that fails where a body stands along another axis than y.
+/// A check that fails where a body stands along another axis than y, or on its head.
 pub(super) fn up_axis(joints: &Joints, skeleton: &Skeleton) -> Option<Check> {
     let [left, _, right, _] = skeleton.contact_joints();
     let face = skeleton.description().face_joints;
@@ -67,9 +67,9 @@ pub(super) fn up_axis(joints: &Joints, skeleton: &Skeleton) -> Option<Check> {
         let heights = joints.as_slice().iter();
         range(heights.map(|place| axis[i].signum() * place[i]))[0]
     };
-    let along = [0, 2]
+    let along = [0, 1, 2]
         .into_iter()
-        .find(|&i| axis[i].abs() > ALONG && lowest(i).abs() < STANDS);
+        .find(|&i| axis[i].abs() > ALONG && (i == 1 || lowest(i).abs() < STANDS));
     along.filter(|_| axis[1] < ACROSS).map(|i| {
         let sign = if axis[i] < 0.0 { "-" } else { "" };
         let name = ["x", "y", "z"][i];

@@ -6,7 +6,7 @@ use crate::Statistics;
 
 /// 1st and 99th percentiles of the measures of phrases: 286 phrases of 4 s of ballroom dancers,
 /// some of whom hold a pose.
-const PHRASES: [(&str, [f64; 2]); 14] = [
+const PHRASES: [(&str, [f64; 2]); 16] = [
     ("path_speed", [0.04, 0.93]),
     ("fastest_step", [0.14, 2.16]),
     ("path_acceleration", [0.35, 5.1]),
@@ -21,6 +21,8 @@ const PHRASES: [(&str, [f64; 2]); 14] = [
     ("largest_tilt", [9.0, 34.0]),
     ("phase_rate", [0.28, 0.54]),
     ("largest_phase_step", [0.009, 0.019]),
+    ("largest_acceleration", [2.5, 50.0]),
+    ("still_share", [0.0, 0.1]),
 ];
 
 /// The same of bodies: 1,267 clips of up to 10 s of actors and dancers that walk, run, dance, kick and
@@ -34,14 +36,14 @@ const BODIES: [(&str, [f64; 2]); 15] = [
     ("largest_turn", [0.0, 700.0]),
     ("root_acceleration", [0.0, 27.0]),
     ("turn_acceleration", [0.0, 3500.0]),
-    ("still_share", [0.0, 0.3]),
+    ("still_share", [0.0, 0.15]),
     ("glide", [0.0, 3.2]),
-    ("skating", [0.0, 0.7]),
+    ("skating", [0.0, 0.5]),
     ("floor", [-0.01, 0.0]),
-    ("floating", [0.0, 0.15]),
+    ("floating", [0.0, 0.09]),
     ("flight", [0.0, 0.4]),
     ("root_height", [0.35, 1.3]),
-    ("leg_length", [0.5, 1.0]),
+    ("leg_length", [0.6, 1.05]),
 ];
 
 /// 95th percentile of the clips' mean jerk norms, metres per second cubed.

@@ -1,9 +1,11 @@
-//! The measures of a sampled body, compared with the training motion.
+//! The measures of a sampled body or phrase, compared with the training motion.
 
 use std::collections::BTreeMap;
 
 use kinegrad_motion::humanml::{Joints, Skeleton};
-use kinegrad_motion::{BodyFinding, BodyMeasure, Statistics};
+use kinegrad_motion::{
+    BodyFinding, BodyMeasure, Check, MotionMeasure, Phrase, Profile, Statistics, check,
+};
 use serde::{Deserialize, Serialize};
 
 /// Most measures in a warning.
@@ -22,20 +24,20 @@ const LINE: [(BodyMeasure, &str, usize); 9] = [
     (BodyMeasure::Floating, "floating", 3),
 ];
 
-/// The measures of a sampled body.
+/// The measures of a sampled body or phrase.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BodyRecord {
-    /// Each [`BodyMeasure`] by its name.
+    /// Each [`BodyMeasure`] or, of a phrase, [`MotionMeasure`] by its name.
     pub measures: BTreeMap<String, MeasureRecord>,
-    /// The checks that fail, with frame and joint.
+    /// The checks that fail, with frame and joint of an extreme.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub failed: Vec<String>,
-    /// True if a speed or a jerk exceeds [`BodyMeasure::FAR`] times its bound.
+    /// True if a speed or a jerk of a body exceeds [`BodyMeasure::FAR`] times its bound.
     #[serde(default)]
     pub far: bool,
 }
 
-/// A measure of a sampled body.
+/// A measure of a sampled body or phrase.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MeasureRecord {
     /// The value, in the measure's unit.
@@ -70,14 +72,28 @@ impl BodyRecord {
         let checks = findings
             .iter()
             .filter_map(|finding| finding.check(Some(names)));
-        let failed = checks.filter(|check| !check.passed).map(|check| {
-            let (name, message, allowed) = (check.name, check.message, check.threshold);
-            format!("{name}: {message} (allowed {allowed})")
+        Self {
+            measures: measures.collect(),
+            failed: failed(checks),
+            far: findings.iter().any(BodyFinding::is_far),
+        }
+    }
+
+    /// Measures a phrase; `training` are the statistics of the run.
+    pub fn of_phrase(motion: &Phrase, training: &Statistics) -> Self {
+        let measures = MotionMeasure::ALL.into_iter().filter_map(|measure| {
+            let found = MeasureRecord {
+                value: measure.of(motion)?,
+                frame: None,
+                joint: None,
+                training: training.movement.get(measure.name()).copied(),
+            };
+            Some((measure.name().to_owned(), found))
         });
         Self {
             measures: measures.collect(),
-            failed: failed.collect(),
-            far: findings.iter().any(BodyFinding::is_far),
+            failed: failed(check(motion, Profile::Strict, Some(training)).checks),
+            far: false,
         }
     }
 
@@ -124,4 +140,14 @@ impl BodyRecord {
         let list = shown.join("; ");
         (!shown.is_empty()).then(|| format!("{name} is out of bounds: {list}{more}{verdict}"))
     }
+}
+
+/// Name, measurement and allowed values of the checks that fail.
+fn failed(checks: impl IntoIterator<Item = Check>) -> Vec<String> {
+    let failed = checks.into_iter().filter(|check| !check.passed);
+    let failed = failed.map(|check| {
+        let (name, message, allowed) = (check.name, check.message, check.threshold);
+        format!("{name}: {message} (allowed {allowed})")
+    });
+    failed.collect()
 }

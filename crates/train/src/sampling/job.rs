@@ -138,7 +138,7 @@ impl Run<'_> {
         }
     }
 
-    /// Passes a sample to the sink. A body is measured, and a warning names what is out of the
+    /// Passes a sample to the sink. A body or phrase is measured, and a warning names what is out of the
     /// bounds of the training motion.
     ///
     /// # Errors
@@ -161,25 +161,30 @@ impl Run<'_> {
                 ));
             }
         }
-        if let Generated::Clip {
-            joints, skeleton, ..
-        } = &generated
-        {
-            let statistics = &self.trained.saved.state.statistics;
-            record.body = Some(BodyRecord::of(joints, skeleton, statistics));
+        let statistics = &self.trained.saved.state.statistics;
+        match &generated {
+            Generated::Clip {
+                joints, skeleton, ..
+            } => record.body = Some(BodyRecord::of(joints, skeleton, statistics)),
+            Generated::Phrase { motion, .. } => {
+                record.phrase = Some(BodyRecord::of_phrase(motion, statistics));
+            }
+            _ => {}
         }
         let body = record.body.clone();
+        // A table lists the checks of held-out phrases.
+        let phrase = record.phrase.clone();
+        let phrase = phrase.filter(|_| self.request.held_out_items().is_none());
         self.sink.sample(Sample {
             name: self.name(job, index),
             files: generated.files(),
             record,
         })?;
-        if let Some(body) = body {
-            if let Some(warning) = body.warning(&title) {
-                self.sink.warning(&warning);
-            }
-            self.bodies.push(body);
+        let measured = [&body, &phrase].into_iter().flatten();
+        for warning in measured.filter_map(|measured| measured.warning(&title)) {
+            self.sink.warning(&warning);
         }
+        self.bodies.extend(body);
         Ok(())
     }
 }

@@ -64,6 +64,9 @@ pub struct Record {
     /// The measures of the body, for models of clips.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub body: Option<BodyRecord>,
+    /// The measures of the phrase; `None` for other motion.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub phrase: Option<BodyRecord>,
     /// The conditions, a map by name; empty for an unconditional sample.
     #[serde(with = "condition::as_map")]
     pub condition: Vec<Condition>,
@@ -199,6 +202,7 @@ impl Record {
             path: None,
             ground: None,
             body: None,
+            phrase: None,
             condition: Vec::new(),
             batch: None,
         }

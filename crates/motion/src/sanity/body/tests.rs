@@ -100,8 +100,28 @@ fn broken_walks_fail_by_name() {
         shift(frame, [0.0, 0.05 * (t % 2) as f32, 0.0])
     });
     fails("jerk_p99", |t, frame| frame[20][1] += 0.2 * (t % 2) as f32);
-    fails("leg_length", |_, frame| {
-        frame.as_flattened_mut().iter_mut().for_each(|v| *v *= 2.0)
+    for factor in [0.5, 2.0] {
+        fails("leg_length", |_, frame| {
+            (frame.as_flattened_mut().iter_mut()).for_each(|v| *v *= factor)
+        });
+    }
+}
+
+#[test]
+fn walks_that_are_broken_a_little_fail_by_name() {
+    fails("floating", |_, frame| shift(frame, [0.0, 0.16, 0.0]));
+    fails("floor", |_, frame| shift(frame, [0.0, -0.06, 0.0]));
+    // 2 m/s sideways.
+    fails("skating", |t, frame| {
+        shift(frame, [0.1 * t as f32, 0.0, 0.0])
+    });
+    let good = walk();
+    fails("still_share", |t, frame| {
+        let from = 66 * t.min(FRAMES / 2);
+        (frame.as_flattened_mut()).copy_from_slice(&good[from..from + 66]);
+    });
+    fails("up_axis", |_, frame| {
+        frame.iter_mut().for_each(|place| place[1] = 1.7 - place[1])
     });
 }
 

@@ -168,6 +168,16 @@ fn broken_movement_that_agrees_with_its_channels_fails_by_name() {
         ([x + 0.4 * t as f64, y, z], q, phase)
     }));
     assert_eq!(carried, ["path_speed", "fastest_step", "travel"]);
+    // A jump by 10 cm in one frame, and a stop for the second half.
+    let jump = failed(&with_poses(|t, [x, y, z], q, phase| {
+        ([x, y + if t == 30 { 0.1 } else { 0.0 }, z], q, phase)
+    }));
+    assert!(jump.contains(&"largest_acceleration"), "{jump:?}");
+    let stopped = failed(&with_poses(|t, p, q, phase| match t {
+        0..30 => (p, q, phase),
+        _ => (first.vector(30, POSITION), first.quaternion(30), phase),
+    }));
+    assert!(stopped.contains(&"still_share"), "{stopped:?}");
     let slow = failed(&with_poses(|t, _, q, phase| {
         ([0.001 * t as f64, 1.0, 0.0], q, phase)
     }));
