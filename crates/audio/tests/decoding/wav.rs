@@ -210,7 +210,13 @@ fn a_format_behind_the_samples_is_read() {
     let note = chunk(b"LIST", b"INFO");
     for chunks in [
         vec![data.clone(), format.clone()],
-        vec![note.clone(), data.clone(), note.clone(), format.clone(), note],
+        vec![
+            note.clone(),
+            data.clone(),
+            note.clone(),
+            format.clone(),
+            note,
+        ],
         vec![data.clone(), [format, data].concat()],
     ] {
         is_read(riff(0, &chunks), &format!("{chunks:?}"));
