@@ -24,7 +24,8 @@ pub fn song_limit(bytes: usize) -> usize {
 
 /// Checks the line of an accepted path.
 ///
-/// # Panics Panics for a line without length and for points that are not finite.
+/// # Panics
+/// Panics for a line without length and for points that are not finite.
 pub fn follow(plan: &PathPlan) {
     let line = plan.polyline().expect("an accepted path");
     assert!(line.length() > 0.0 && line.length().is_finite());
