@@ -17,7 +17,7 @@ pub const TOML: usize = 1024;
 
 /// The bound of a song of `bytes` bytes. A frame of MP3 of 24 bytes becomes 1060 samples of 4 bytes,
 /// three times that while they are collected. Converting from a sample rate that has no factor in
-/// common with 44.1 kHz takes transforms of up to 1.5 million samples.
+/// common with 44.1 kHz takes long transforms, whatever the song's length.
 pub fn song_limit(bytes: usize) -> usize {
     256 * MIB + 600 * bytes
 }
