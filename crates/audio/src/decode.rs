@@ -113,22 +113,18 @@ pub fn decode_reader(
 fn open(path: &Path) -> Result<File, DecodeError> {
     // Opening a pipe would wait for a writer, and a device may never end.
     if path.metadata().is_ok_and(|found| !found.is_file()) {
-        return Err(unreadable("it is not a file"));
+        return Err(DecodeError::Read {
+            reason: "it is not a file".to_owned(),
+        });
     }
-    File::open(path).map_err(unreadable)
-}
-
-fn unreadable(reason: impl ToString) -> DecodeError {
-    DecodeError::Read {
-        reason: reason.to_string(),
-    }
+    Ok(File::open(path)?)
 }
 
 fn decode_source(
     reader: impl Read + Seek + Send + Sync,
     extension: Option<&str>,
 ) -> Result<Waveform, DecodeError> {
-    let mut source = Source::new(reader).map_err(unreadable)?;
+    let mut source = Source::new(reader)?;
     if source.length() == 0 {
         return Err(DecodeError::Empty);
     }
@@ -236,7 +232,7 @@ impl Mono {
         if is_mp3 {
             // Where it can seek, the reader estimates a length and cuts the music there.
             drop(format);
-            source.restart_as_stream().map_err(unreadable)?;
+            source.restart_as_stream()?;
             format = open_format(source, extension)?;
         }
         let (track, parameters) = open_track(format.as_ref())?;

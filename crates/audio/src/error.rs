@@ -1,5 +1,7 @@
 //! Errors about an audio file or its samples.
 
+use std::io;
+
 use miette::Diagnostic;
 use thiserror::Error;
 
@@ -64,6 +66,21 @@ pub enum DecodeError {
     UnknownFormat {
         /// Reason from the reader.
         reason: String,
+    },
+
+    /// A WAV file stores numbers in big-endian order.
+    #[error("a WAV file in big-endian order (RIFX), which is not read")]
+    #[diagnostic(help("convert it: `ffmpeg -i OLD.wav NEW.wav` writes little-endian order"))]
+    BigEndian,
+
+    /// The number of channels of a WAV file is out of range.
+    #[error("{found} channels found, 1 to {most} allowed")]
+    #[diagnostic(help("mix them down to two, or export the file again with fewer"))]
+    Channels {
+        /// The number found.
+        found: u16,
+        /// Largest allowed.
+        most: u16,
     },
 
     /// The file contains no audio track.
@@ -152,4 +169,12 @@ pub enum DecodeError {
         /// The value.
         found: f32,
     },
+}
+
+impl From<io::Error> for DecodeError {
+    fn from(error: io::Error) -> Self {
+        Self::Read {
+            reason: error.to_string(),
+        }
+    }
 }

@@ -1,12 +1,14 @@
 //! The chunks of WAV files, as recorders and editors write them.
 //!
 //! Deviations that other readers accept are accepted: the size of the whole file is ignored, `fmt `
-//! may have any length from 14 bytes on, pad bytes may be missing, channel masks are ignored, and a
-//! length that was never written ends with the file. RF64 and BW64 files state their length in a
-//! chunk `ds64`.
+//! may have any length from 14 bytes on and may follow the samples, pad bytes may be missing, channel
+//! masks are ignored, and a length that was never written ends with the file. RF64 and BW64 files
+//! state their length in a chunk `ds64`.
 
 use std::io::{self, ErrorKind, Read, Seek, SeekFrom};
 use std::ops::Range;
+
+use crate::DecodeError;
 
 const PCM: u16 = 1;
 const FLOAT: u16 = 3;
@@ -14,6 +16,9 @@ const A_LAW: u16 = 6;
 const MU_LAW: u16 = 7;
 const MP3: u16 = 0x55;
 const EXTENSIBLE: u16 = 0xfffe;
+
+/// Most channels of the format reader, one for each loudspeaker position.
+const MOST_CHANNELS: u16 = 26;
 
 /// Most chunks before the samples.
 const MOST_CHUNKS: usize = 10_000;
@@ -44,30 +49,35 @@ impl Wav {
     /// files without format or samples.
     ///
     /// # Errors
-    /// As of the reader.
-    pub fn find(reader: &mut (impl Read + Seek), bytes: u64) -> io::Result<Option<Self>> {
+    /// As of the reader; [`DecodeError::BigEndian`], [`DecodeError::Channels`].
+    pub fn find(reader: &mut (impl Read + Seek), bytes: u64) -> Result<Option<Self>, DecodeError> {
         let Some(head) = at::<12>(reader, 0)? else {
             return Ok(None);
         };
-        let is_wav = matches!(&head[..4], b"RIFF" | b"RF64" | b"BW64") && &head[8..] == b"WAVE";
-        let (mut format, mut length) = (None, None);
+        let is_wav = match (&head[..4], &head[8..]) {
+            (b"RIFX", b"WAVE") => return Err(DecodeError::BigEndian),
+            (b"RIFF" | b"RF64" | b"BW64", form) => form == b"WAVE",
+            _ => false,
+        };
+        let (mut format, mut data, mut length) = (None, None, None);
         let mut place = 12;
         for _ in 0..if is_wav { MOST_CHUNKS } else { 0 } {
             let Some((id, size)) = chunk(reader, place)? else {
                 break;
             };
             let start = place + 8;
-            match (&id, format) {
-                (b"ds64", _) => {
+            match &id {
+                b"ds64" => {
                     let sizes = at::<16>(reader, start)?;
                     length = sizes.and_then(|sizes| Some(u64::from_le_bytes(*sizes.last_chunk()?)));
                 }
-                (b"fmt ", _) => format = Format::read(reader, start, size)?,
-                (b"data", Some(format)) => {
-                    let length = length.filter(|_| size == u32::MAX);
-                    return Self::of(reader, format, start..bytes, size, length);
-                }
+                b"fmt " => format = Format::read(reader, start, size)?,
+                b"data" => data = data.or(Some((start, size))),
                 _ => {}
+            }
+            if let (Some(format), Some((start, size))) = (format, data) {
+                let length = length.filter(|_| size == u32::MAX);
+                return Self::of(reader, format, start..bytes, size, length);
             }
             place = behind(reader, start, size)?;
         }
@@ -82,7 +92,7 @@ impl Wav {
         rest: Range<u64>,
         size: u32,
         length: Option<u64>,
-    ) -> io::Result<Option<Self>> {
+    ) -> Result<Option<Self>, DecodeError> {
         let stated = length.unwrap_or(size.into());
         let left = rest.end.saturating_sub(rest.start);
         let limit = if length.is_some() { u64::MAX } else { UNKNOWN };
@@ -95,7 +105,8 @@ impl Wav {
             false => (stated, stated.min(left)),
         };
         let stated = u32::try_from(stated).unwrap_or(u32::MAX);
-        Ok(format.header(stated).map(|header| Self {
+        let header = format.header(stated)?;
+        Ok(header.map(|header| Self {
             header,
             samples: rest.start..rest.start + length,
             is_length_unknown,
@@ -146,12 +157,18 @@ impl Format {
     }
 
     /// A header for `size` bytes of samples ([`u32::MAX`] for an unknown number), empty for an MP3
-    /// stream; none for other encodings.
-    fn header(self, size: u32) -> Option<Vec<u8>> {
+    /// stream; none for other encodings. Fails with [`DecodeError::Channels`].
+    fn header(self, size: u32) -> Result<Option<Vec<u8>>, DecodeError> {
         match self.tag {
-            MP3 => return Some(Vec::new()),
+            MP3 => return Ok(Some(Vec::new())),
             PCM | FLOAT | A_LAW | MU_LAW => {}
-            _ => return None,
+            _ => return Ok(None),
+        }
+        if !(1..=MOST_CHANNELS).contains(&self.channels) {
+            return Err(DecodeError::Channels {
+                found: self.channels,
+                most: MOST_CHANNELS,
+            });
         }
         let block = self.channels.wrapping_mul(self.bits / 8);
         let mut header = b"RIFF\xff\xff\xff\xffWAVEfmt \x12\0\0\0".to_vec();
@@ -163,7 +180,7 @@ impl Format {
         header.extend(self.bits.to_le_bytes());
         header.extend(b"\0\0data");
         header.extend(size.to_le_bytes());
-        Some(header)
+        Ok(Some(header))
     }
 }
 

@@ -5,6 +5,7 @@ use std::ops::Range;
 
 use symphonia::core::io::MediaSource;
 
+use crate::DecodeError;
 use crate::riff::Wav;
 
 /// A reader whose length is known.
@@ -22,8 +23,8 @@ pub(crate) struct Source<R> {
 
 impl<R: Read + Seek> Source<R> {
     /// # Errors
-    /// As of the reader.
-    pub fn new(mut reader: R) -> io::Result<Self> {
+    /// As of the reader; for WAV files that cannot be read.
+    pub fn new(mut reader: R) -> Result<Self, DecodeError> {
         let bytes = reader.seek(SeekFrom::End(0))?;
         let wav = Wav::find(&mut reader, bytes)?.unwrap_or(Wav {
             header: Vec::new(),

@@ -203,3 +203,48 @@ fn lengths_of_64_bits_are_read() {
         }
     }
 }
+
+#[test]
+fn a_format_behind_the_samples_is_read() {
+    let [format, data] = plain();
+    let note = chunk(b"LIST", b"INFO");
+    for chunks in [
+        vec![data.clone(), format.clone()],
+        vec![
+            note.clone(),
+            data.clone(),
+            note.clone(),
+            format.clone(),
+            note,
+        ],
+        vec![data.clone(), [format, data].concat()],
+    ] {
+        is_read(riff(0, &chunks), &format!("{chunks:?}"));
+    }
+}
+
+#[test]
+fn files_in_big_endian_order_and_of_many_channels_are_refused_with_the_reason() {
+    let error = |bytes: Vec<u8>| match read(bytes) {
+        Err(Error::Decode { error, .. }) => error.to_string(),
+        other => panic!("{other:?}"),
+    };
+    let mut big_endian = riff(0, &plain());
+    big_endian[..4].copy_from_slice(b"RIFX");
+    assert_eq!(
+        error(big_endian),
+        "a WAV file in big-endian order (RIFX), which is not read"
+    );
+    for (format, bits) in [(1, 8), (1, 16), (3, 32)] {
+        let wav = |channels: u16| {
+            let bytes = vec![0; usize::from(channels * bits / 8) * 3];
+            super::wav(format, channels, SAMPLE_RATE, bits, &bytes)
+        };
+        let most = samples(wav(26), "26 channels");
+        assert_eq!((most.source_channels, most.samples.len()), (26, 3));
+        for channels in [0, 27, 64, 255] {
+            let expected = format!("{channels} channels found, 1 to 26 allowed");
+            assert_eq!(error(wav(channels)), expected);
+        }
+    }
+}

@@ -58,16 +58,16 @@ impl CaptionsPlan {
 /// the room", stays.
 pub(super) fn mirrored(text: &str) -> String {
     let words = words(text);
-    // The neighbor of a word that only spaces separate from it.
-    let after = |index: usize| {
-        let next = words.get(index + 1)?.clone();
-        let gap = &text[words[index].end..next.start];
-        gap.trim().is_empty().then(|| text[next].to_lowercase())
+    // True if only spaces separate a word from the next word.
+    let is_joined = |index: &usize| {
+        let pair = words.get(*index).zip(words.get(*index + 1));
+        pair.is_some_and(|(word, next)| text[word.end..next.start].trim().is_empty())
     };
-    let before = |index: usize| {
-        let last = words.get(index.checked_sub(1)?)?.clone();
-        let gap = &text[last.end..words[index].start];
-        gap.trim().is_empty().then(|| text[last].to_lowercase())
+    let word_at = |index: usize| text[words[index].clone()].to_lowercase();
+    let before = |index: usize| index.checked_sub(1).filter(is_joined).map(word_at);
+    let after = |index: usize| -> Vec<String> {
+        let joined = (index..index + 3).take_while(is_joined);
+        joined.map(|index| word_at(index + 1)).collect()
     };
     let mut result = String::with_capacity(text.len());
     let mut end = 0;
@@ -76,7 +76,7 @@ pub(super) fn mirrored(text: &str) -> String {
         end = range.end;
         let word = &text[range.clone()];
         let lower = word.to_lowercase();
-        let is_verb = || left_is_verb(before(index).as_deref(), after(index).as_deref());
+        let is_verb = || left_is_verb(before(index).as_deref(), &after(index));
         match opposite_prefix(&result, &lower) {
             Some(prefix) => {
                 result.truncate(result.len() - prefix);
@@ -140,67 +140,71 @@ fn opposite_prefix(before: &str, lower: &str) -> Option<usize> {
 }
 
 /// Words before the verb "left", whatever follows.
-const PRONOUNS: [&str; 6] = ["he", "she", "they", "who", "we", "i"];
+const PRONOUNS: &str = "he she they who we i you";
 
-/// Words before the verb "left" at the end of a sentence, or before its object.
-const SUBJECTS: [&str; 24] = [
-    "has",
-    "have",
-    "had",
-    "having",
-    "person",
-    "people",
-    "man",
-    "men",
-    "woman",
-    "women",
-    "someone",
-    "somebody",
-    "everyone",
-    "everybody",
-    "dancer",
-    "dancers",
-    "actor",
-    "actors",
-    "figure",
-    "figures",
-    "guy",
-    "girl",
-    "boy",
-    "child",
-];
+/// Words before the verb "left" at the end of a sentence, or before its object; plurals in -s too.
+const SUBJECTS: &str = "has have had having person people man men woman women someone somebody \
+     everyone everybody nobody dancer actor actress actresses performer player character figure \
+     guy girl boy child children kid adult lady ladies couple partner friend student human \
+     individual other";
 
 /// Words behind the verb "left".
-const OBJECTS: [&str; 22] = [
-    "the", "a", "an", "his", "her", "their", "its", "my", "your", "our", "this", "that", "these",
-    "those", "it", "him", "them", "me", "us", "behind", "alone", "home",
-];
+const OBJECTS: &str = "the a an his her their its my your our this that these those it him them me \
+     us behind alone home";
 
-/// Words before "left" as a side, whatever follows. Other verbs end in -s, -ing or -ed.
-const BEFORE_A_SIDE: [&str; 40] = [
-    "the", "a", "his", "her", "their", "its", "my", "your", "our", "to", "from", "on", "of", "at",
-    "with", "toward", "towards", "far", "turn", "step", "go", "move", "walk", "look", "lean",
-    "run", "jump", "kick", "bend", "swing", "reach", "veer", "shift", "hop", "slide", "stretch",
-    "rotate", "face", "went", "ran",
-];
+/// Words before "left" as a side, whatever follows; verbs also with -s.
+const BEFORE_A_SIDE: &str = "the a his her their its my your our to from on of at with toward \
+     towards far went ran turn step go move walk look lean run jump kick bend swing reach veer \
+     shift hop slide stretch rotate face crawl dodge jog leap lunge march pivot roll shuffle \
+     sidestep skip spin sprint stride stumble sway tilt twist";
+
+/// Words of times and distances behind "left the" and "left a", as in "turns left the second time".
+const OF_TIMES: &str = "time times way";
+const OF_DISTANCES: &str = "little bit lot few couple second moment while step pace metre meter \
+     quarter half";
 
 /// True if "left" between these words is the past of "to leave".
-fn left_is_verb(before: Option<&str>, after: Option<&str>) -> bool {
-    let has_object = after.is_some_and(|after| OBJECTS.contains(&after));
-    match before {
-        Some(before) if PRONOUNS.contains(&before) => true,
-        Some("is" | "are" | "was" | "were" | "be" | "been") => {
-            after.is_some_and(|after| matches!(after, "behind" | "alone" | "over"))
-        }
-        Some(before) if SUBJECTS.contains(&before) => {
-            has_object || after.is_none_or(|after| after.ends_with("ly"))
-        }
-        Some(before) => {
-            let is_verb = ["s", "ing", "ed"].iter().any(|end| before.ends_with(end));
-            has_object && !is_verb && !BEFORE_A_SIDE.contains(&before)
-        }
-        None => has_object,
+fn left_is_verb(before: Option<&str>, after: &[String]) -> bool {
+    let next = after.first().map(String::as_str);
+    let has_object = next.is_some_and(|next| is_in(OBJECTS, next)) && !is_adverb(after);
+    let Some(before) = before else {
+        return has_object;
+    };
+    // Also without the ending of plurals and of verbs.
+    let is_of = |list: &str| {
+        let without = ["s", "es"].map(|end| before.strip_suffix(end));
+        let mut forms = without.into_iter().flatten().chain([before]);
+        forms.any(|form| is_in(list, form))
+    };
+    if is_in(PRONOUNS, before) {
+        return true;
     }
+    if is_in("is are was were be been", before) {
+        return next.is_some_and(|next| is_in("behind alone over", next));
+    }
+    if is_of(SUBJECTS) {
+        return has_object || next.is_none_or(|next| next.ends_with("ly"));
+    }
+    let is_participle = ["ing", "ed"].iter().any(|end| before.ends_with(end));
+    has_object && !is_participle && !is_of(BEFORE_A_SIDE)
+}
+
+/// True if words are a time or a distance, not the object of a verb.
+fn is_adverb(words: &[String]) -> bool {
+    let Some((first, rest)) = words.split_first() else {
+        return false;
+    };
+    let has = |list: &str| rest.iter().any(|word| is_in(list, word));
+    match first.as_str() {
+        "the" | "this" | "that" => has(OF_TIMES),
+        "a" | "an" => has(OF_DISTANCES),
+        _ => false,
+    }
+}
+
+/// True if `word` is among the words of `list`.
+fn is_in(list: &str, word: &str) -> bool {
+    list.split(' ').any(|listed| listed == word)
 }
 
 #[cfg(test)]
@@ -292,6 +296,27 @@ mod tests {
                 "turns right and left the room",
             ),
             ("he was left behind", "he was left behind"),
+            (
+                "the dancers left the room, one turns left",
+                "the dancers left the room, one turns right",
+            ),
+            ("Both boys left.", "Both boys left."),
+            ("the performers left quickly", "the performers left quickly"),
+            (
+                "her heavy boots left the floor",
+                "her heavy boots left the floor",
+            ),
+            ("The actress left the stage", "The actress left the stage"),
+            ("James left a chair behind", "James left a chair behind"),
+            ("the man's left the room", "the man's left the room"),
+            (
+                "his hands left his sides, then the ground",
+                "his hands left his sides, then the ground",
+            ),
+            (
+                "two steps left, and the others left the left door open",
+                "two steps right, and the others left the right door open",
+            ),
         ] {
             assert_eq!(mirrored(text), expected);
         }
@@ -302,6 +327,24 @@ mod tests {
                 "a person has right arm raised",
             ),
             ("turns left the second time", "turns right the second time"),
+            ("the man turns left", "the man turns right"),
+            ("glances left a little", "glances right a little"),
+            ("dances left a few steps", "dances right a few steps"),
+            ("drifts left the whole way", "drifts right the whole way"),
+            ("he walks left and leaves", "he walks right and leaves"),
+            (
+                "the man's left arm swings left",
+                "the man's right arm swings right",
+            ),
+            (
+                "swings his arms left, the hips left",
+                "swings his arms right, the hips right",
+            ),
+            (
+                "spins left his arms stretched out",
+                "spins right his arms stretched out",
+            ),
+            ("takes three steps left", "takes three steps right"),
             (
                 "a step to the left, the arms up",
                 "a step to the right, the arms up",

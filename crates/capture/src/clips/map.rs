@@ -27,7 +27,8 @@ const SHOWN: usize = 8;
 
 /// The place of each joint of a skeleton in a capture.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct JointMap {
+pub struct JointMap {
+    /// The name of a built-in map, or the stem of the map's file.
     pub name: String,
     /// Sources of the skeleton's joints, in its order.
     joints: Vec<(String, Source)>,

@@ -1,6 +1,6 @@
 //! Datasets of clips: full-body captures become a dataset in the layout of HumanML3D.
 //!
-//! A [joint map](map::JointMap) names the joints of a BVH capture for the 22 joints of the
+//! A [joint map](JointMap) names the joints of a BVH capture for the 22 joints of the
 //! dataset's skeleton. The joints of a C3D capture are estimated from its markers. The
 //! [body](body::Body) is resampled to 20 frames per second, retargeted to one skeleton, put on the
 //! floor and cut into clips. Labels come from file names, JSON, a table or the plan; captions are
@@ -31,6 +31,7 @@ use kinegrad_data::{Digest, Store, manifest, matches};
 
 pub use body::Body;
 pub use captions::Labels;
+pub use map::JointMap;
 pub use reading::read_body;
 pub use report::{ClipTakeReport, ClipsReport};
 

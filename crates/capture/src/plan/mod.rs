@@ -105,8 +105,16 @@ impl Plan {
     /// [`Error::Plan`] or [`Error::Document`] with the line or key.
     pub fn read(path: &Path) -> Result<Self, Error> {
         let text = read_text(path).map_err(|problem| Error::plan(path, problem))?;
+        Self::parse(&text, path)
+    }
+
+    /// [`read`](Self::read) of the `text` at `path`, without opening any file.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read).
+    pub fn parse(text: &str, path: &Path) -> Result<Self, Error> {
         let file = path.display().to_string();
-        let parsed = Document::parse(&text, &file)?;
+        let parsed = Document::parse(text, &file)?;
         let mut plan: Self = parsed.read(PLANS)?;
         plan.folder = path.parent().unwrap_or(Path::new("")).to_owned();
         let has = |key: &&&str| parsed.table.contains_key(**key);

@@ -47,11 +47,14 @@ pub use schedule::{GuidanceSchedule, Phase};
 
 use std::collections::HashMap;
 
-use kinegrad_settings::{InvalidSetting, Refused, in_range, require};
+use kinegrad_settings::{Document, DocumentError, InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::MAX_FRAMES;
+
+/// The hint of errors about files of goals.
+const HINT: &str = "docs/goals.md describes goals";
 
 /// Furthest position from the origin along each axis, metres.
 const MAX_METRES: f64 = 1e5;
@@ -154,6 +157,18 @@ impl Goal {
             frames,
             ..Self::default()
         }
+    }
+
+    /// The goal in the TOML `text` of `file`.
+    ///
+    /// # Errors
+    /// Names the line, the key, the value found and the allowed values.
+    pub fn parse(text: &str, file: &str) -> Result<Self, DocumentError> {
+        let document = Document::parse(text, file)?;
+        let goal: Self = document.read(HINT)?;
+        goal.validate()
+            .map_err(|setting| document.refuse(setting))?;
+        Ok(goal)
     }
 
     /// # Errors

@@ -5,7 +5,6 @@ use std::path::Path;
 use kinegrad_data::Digest;
 use kinegrad_data::file::read_text;
 use kinegrad_motion::goal::Goal;
-use kinegrad_settings::Document;
 
 use crate::error::Error;
 
@@ -14,12 +13,9 @@ use crate::error::Error;
 /// # Errors
 /// Names the file, the key, the value found and the allowed values.
 pub fn read_goal(path: &Path) -> Result<(Goal, Digest), Error> {
-    let hint = "docs/goals.md describes goals";
     let file = path.display().to_string();
-    let text = read_text(path).map_err(|error| Error::usage(format!("{file}: {error}"), hint))?;
-    let document = Document::parse(&text, &file)?;
-    let goal: Goal = document.read(hint)?;
-    goal.validate()
-        .map_err(|setting| document.refuse(setting))?;
-    Ok((goal, Digest::of(text.as_bytes())))
+    let text = read_text(path).map_err(|error| {
+        Error::usage(format!("{file}: {error}"), "docs/goals.md describes goals")
+    })?;
+    Ok((Goal::parse(&text, &file)?, Digest::of(text.as_bytes())))
 }
