@@ -10,6 +10,9 @@ use toml::{Spanned, Table, Value};
 use crate::InvalidSetting;
 use crate::words::in_words;
 
+/// Largest document, bytes: a hostile one takes up to 600 times as much memory.
+const MOST_BYTES: usize = 8 << 20;
+
 /// The location of a dotted key, such as `FILE:LINE`.
 pub type Place<'a> = &'a dyn Fn(&str) -> String;
 
@@ -75,7 +78,7 @@ pub struct Document<'a> {
 }
 
 impl<'a> Document<'a> {
-    /// Parses the document in `text`; errors name `origin`, the document's file. Fails with
+    /// Parses the document in `text`, of at most 8 MiB; errors name `origin`, its file. Fails with
     /// [`DocumentError::Syntax`], which names the line, and with [`DocumentError::Value`] for paths
     /// whose backslashes were read as escapes, such as `"C:\temp"`.
     pub fn parse(text: &'a str, origin: &'a str) -> Result<Self, DocumentError> {
@@ -96,6 +99,13 @@ impl<'a> Document<'a> {
                 false => "the file is TOML: tables in [brackets], `key = value` lines",
             },
         };
+        if text.len() > MOST_BYTES {
+            return Err(DocumentError::Syntax {
+                place: origin.to_owned(),
+                message: format!("{} bytes found, at most {MOST_BYTES} allowed", text.len()),
+                hint: "settings are small; long lists of points belong in a .csv file",
+            });
+        }
         let document = Self {
             spans: DeTable::parse(text).map_err(no_toml)?,
             table: text.parse().map_err(no_toml)?,
@@ -403,6 +413,18 @@ mod tests {
     }
 
     const AT: Place<'_> = &|key| format!("at {key}");
+
+    #[test]
+    fn documents_have_a_bound() {
+        let text = format!("a = 1\n{}", "#".repeat(MOST_BYTES - 6));
+        assert!(Document::parse(&text, "file").is_ok());
+        let longer = format!("{text}#");
+        let Err(error) = Document::parse(&longer, "file") else {
+            panic!("read");
+        };
+        let expected = "file: 8388609 bytes found, at most 8388608 allowed";
+        assert_eq!(error.to_string(), expected);
+    }
 
     #[test]
     fn paths_with_backslashes_have_their_own_hint() {
