@@ -22,7 +22,8 @@ use serde_json::to_value;
 pub struct PhrasePathConfig {
     /// The method that keeps the root on the path during sampling.
     pub method: PhrasePathMethod,
-    /// For `guidance`: length of a step against the squared distance's gradient.
+    /// For `guidance`: length of a step against the gradient of the squared distance of ground
+    /// position, velocity and acceleration from those of the path, in standard deviations.
     pub guidance_step_size: f64,
     /// For `guidance`: largest distance from the path without a loss, in meters.
     pub tolerance: f64,
@@ -148,22 +149,34 @@ impl PhrasePath {
         let length = windows.length();
         let channels = noisy.len() / (windows.len() * length);
         let mut step = vec![0.0; noisy.len()];
+        let all = channels_of(&self.points);
         for window in 0..windows.len() {
-            let points = &self.points[windows.of(window)];
-            for (t, point) in points.iter().enumerate() {
-                let at = GROUND.map(|axis| (window * channels + axis) * length + t);
-                let std = GROUND.map(|axis| statistics.std[axis]);
+            let frames = windows.of(window);
+            let origin = self.points[frames.start];
+            for (t, point) in self.points[frames.clone()].iter().enumerate() {
+                let value = |channel: usize| {
+                    let at = (window * channels + channel) * length + t;
+                    f64::from(noisy[at]) * statistics.std[channel] + statistics.mean[channel]
+                };
                 let away = [0, 1].map(|i| {
-                    let place = f64::from(noisy[at[i]]) * std[i] + statistics.mean[GROUND[i]];
-                    place - (point[i] - points[0][i])
+                    let place = value(POSITION.start + GROUND[i]);
+                    place - (point[i] - origin[i])
                 });
                 let distance = away[0].hypot(away[1]);
                 let over = (distance - self.config.tolerance).max(0.0);
                 let share = if distance > 0.0 { over / distance } else { 0.0 };
-                for i in [0, 1] {
-                    // The gradient of the square with respect to the normalized channel.
-                    step[at[i]] =
-                        (self.config.guidance_step_size * 2.0 * share * away[i] * std[i]) as f32;
+                for (channel, values) in &all {
+                    let channel = *channel;
+                    let target = match GROUND
+                        .iter()
+                        .position(|axis| POSITION.start + axis == channel)
+                    {
+                        Some(i) => values[frames.start + t] - origin[i],
+                        None => values[frames.start + t],
+                    };
+                    let off = (value(channel) - target) / statistics.std[channel];
+                    let at = (window * channels + channel) * length + t;
+                    step[at] = (self.config.guidance_step_size * 2.0 * share * off) as f32;
                 }
             }
         }
@@ -310,11 +323,11 @@ mod tests {
                 .sum()
         };
         let moved: Vec<f32> = noisy.iter().zip(&step).map(|(x, step)| x - step).collect();
-        // The distance decreases by the share 2 guidance_step_size std^2, because the loss is a
-        // square.
+        // The distance decreases by the share 2 guidance_step_size, because the loss is a square.
         let share = away(&moved) / away(&noisy);
-        assert!((share - (1.0 - 2.0 * 0.2 * 0.25)).abs() < 1e-6, "{share}");
-        let ground = |index: usize| [0, 2].contains(&(index / 40));
+        assert!((share - (1.0 - 2.0 * 0.2)).abs() < 1e-6, "{share}");
+        // Ground position, velocity and acceleration.
+        let ground = |index: usize| [0, 2, 3, 5, 6, 8].contains(&(index / 40));
         assert!(
             step.iter()
                 .enumerate()
