@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,13 +13,9 @@ from case import Case, Setting
 from judge import SUCCESS
 from process import Limits
 from program import Program
+from texts import raw_text, text_files
 from values import NAMES
 
-MARKUP = re.compile(rb"<img src=x")
-"""In a page or picture: a name that is not escaped."""
-CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
-TEXTS = (b".html", b".svg", b".json", b".jsonl", b".toml", b".bvh", b".csv", b".txt")
-PAGES = (b".html", b".svg")
 LIMITS = Limits(cpu=30, wall=15)
 
 
@@ -76,8 +71,8 @@ class Names(Attack):
             found = f"exit code 0, and no {wanted!r}"
             case.wrong("another name", trial.words[0], found, "a file of the asked name", ended)
         inputs = {top + b"/" + file for file in trial.files}
-        for path in written_texts(top):
-            if path not in inputs and (around := raw(path)):
+        for path in text_files(top):
+            if path not in inputs and (around := raw_text(path)):
                 said = f"{path[len(top) + 1:]!r} contains {around!r}"
                 kind = f"{trial.words[0]} {os.path.splitext(path)[1].decode()}"
                 case.wrong("raw name", kind, said, "escaped text", ended)
@@ -188,21 +183,3 @@ def put(path: bytes, content: bytes) -> None:
     os.makedirs(os.path.dirname(path), exist_ok=True)
     with open(path, "wb") as file:
         file.write(content)
-
-
-def written_texts(top: bytes) -> list[bytes]:
-    """Text files below a folder."""
-    return [
-        os.path.join(place, name)
-        for place, _, names in os.walk(top) for name in names if name.endswith(TEXTS)
-    ]
-
-
-def raw(path: bytes) -> bytes | None:
-    """What is around a control character in a file, or around a tag that is a name."""
-    with open(path, "rb") as file:
-        content = file.read()
-    found = CONTROL.search(content)
-    if not found and path.endswith(PAGES):
-        found = MARKUP.search(content)
-    return content[max(found.start() - 60, 0):found.end() + 40] if found else None

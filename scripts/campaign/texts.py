@@ -17,6 +17,11 @@ LONGEST_MESSAGE = 12_000
 FORMULA = ("=", "+", "-", "@", "\t", "\r")
 """Beginnings of a cell that a spreadsheet calculates."""
 LARGEST_TABLE = 16 << 20
+MARKUP = re.compile(rb"<img src=x")
+"""In a page or picture: a name that is not escaped."""
+RAW = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
+TEXTS = (b".html", b".svg", b".json", b".jsonl", b".toml", b".bvh", b".csv", b".txt")
+PAGES = (b".html", b".svg")
 
 Words = tuple[str, str]
 """Kind of a fault, and what was found."""
@@ -70,3 +75,21 @@ def is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def text_files(top: bytes) -> list[bytes]:
+    """Text files below a folder."""
+    return [
+        os.path.join(place, name)
+        for place, _, names in os.walk(top) for name in names if name.endswith(TEXTS)
+    ]
+
+
+def raw_text(path: bytes) -> bytes | None:
+    """What is around a control character in a file, or around a tag that is a name."""
+    with open(path, "rb") as file:
+        content = file.read()
+    found = RAW.search(content)
+    if not found and path.endswith(PAGES):
+        found = MARKUP.search(content)
+    return content[max(found.start() - 60, 0):found.end() + 40] if found else None
