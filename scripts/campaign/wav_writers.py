@@ -6,8 +6,8 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-AMPLITUDE = 0.4
-"""Of the tone in every channel."""
+LOUD, QUIET = 0.4, 0.1
+"""Amplitudes of the tone in the first and in the second half, in every channel."""
 TONE = 440
 Chunk = tuple[bytes, bytes]
 """Name and content."""
@@ -86,7 +86,8 @@ def plain(r: random.Random) -> Written:
     """A file without deviations."""
     rate, channels = r.choice([8000, 11025, 22050, 44100]), r.choice([1, 1, 2, 2, 3, 6])
     written = Written(rate, channels, int(rate * r.uniform(0.6, 1.1)), r.choice(list(BITS)))
-    tone = [AMPLITUDE * math.sin(2 * math.pi * TONE * n / rate) for n in range(written.frames)]
+    loud = [LOUD if 2 * n < written.frames else QUIET for n in range(written.frames)]
+    tone = [size * math.sin(2 * math.pi * TONE * n / rate) for n, size in enumerate(loud)]
     written.data = b"".join(sample(written.form, value) * channels for value in tone)
     width = len(sample(written.form, 0.0))
     tag = 3 if written.form.startswith("f") else 1
@@ -163,7 +164,7 @@ def cut_off(r: random.Random, written: Written) -> None:
     """The file ends before its samples do."""
     block = len(written.data) // written.frames
     stated = len(written.data)
-    written.frames -= written.frames // 5
+    written.frames -= written.frames // 8
     written.data = written.data[:block * written.frames + r.randrange(block)]
     written.data_size = stated
 
