@@ -19,7 +19,8 @@ FORMULA = ("=", "+", "-", "@", "\t", "\r")
 LARGEST_TABLE = 16 << 20
 MARKUP = re.compile(rb"<img src=x")
 """In a page or picture: a name that is not escaped."""
-RAW = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
+RAW = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
+"""What neither XML nor JSON may contain."""
 TEXTS = (b".html", b".svg", b".json", b".jsonl", b".toml", b".bvh", b".csv", b".txt")
 PAGES = (b".html", b".svg")
 
