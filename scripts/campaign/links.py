@@ -67,7 +67,8 @@ class Links(Attack):
             if case.random.random() < 0.3:
                 path = run / case.random.choice(WRITTEN)
             else:
-                path = case.random.choice(paths)
+                folders = [path for path in paths if path.is_dir()]
+                path = case.random.choice(folders if case.random.random() < 0.4 else paths)
             # An earlier link may have replaced its folder.
             if path.parent.is_dir() and not path.parent.resolve().is_relative_to(outside_of(case)):
                 link(case, path)
