@@ -274,7 +274,7 @@ fn answers_longer_than_stated_and_slow_trickles_end() {
     for (fault, expected) in [
         (Fault::Endless, "more than 10 bytes came"),
         (Fault::EndlessRefusal, "more than 65536 bytes came"),
-        (Fault::Trickle, "did not end within"),
+        (Fault::Trickle, "less than 4096 bytes came in a second"),
     ] {
         let (_folder, server, mut config) = web(true);
         config.store.max_retries = 0;

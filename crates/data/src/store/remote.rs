@@ -14,7 +14,7 @@ use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload};
 use tokio::runtime::Runtime;
 use tokio::sync::Semaphore;
 
-use super::bounded::{LARGEST_PAGE, LARGEST_REFUSAL};
+use super::bounded::{LARGEST_PAGE, LARGEST_REFUSAL, SLOWEST};
 use super::{Backend, Object, StoreError, services};
 use crate::layout::check_path;
 use crate::location::Service;
@@ -25,9 +25,6 @@ const FIRST_PAUSE: Duration = Duration::from_millis(100);
 
 /// Longest pause.
 const LONGEST_PAUSE: Duration = Duration::from_secs(20);
-
-/// Slowest transfer, bytes per second; a slower one is cut off.
-const SLOWEST: f64 = 4096.0;
 
 /// Most objects in a listing.
 const MOST_LISTED: usize = 1_000_000;
