@@ -68,7 +68,7 @@ class Links(Attack):
                 path = run / case.random.choice(WRITTEN)
             else:
                 folders = [path for path in paths if path.is_dir()]
-                path = case.random.choice(folders if case.random.random() < 0.4 else paths)
+                path = case.random.choice(folders if folders and case.random.random() < 0.4 else paths)
             # An earlier link may have replaced its folder.
             if path.parent.is_dir() and not path.parent.resolve().is_relative_to(outside_of(case)):
                 link(case, path)
