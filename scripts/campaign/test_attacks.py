@@ -110,7 +110,7 @@ class Faults(unittest.TestCase):
 
     def test_growth(self) -> None:
         attack = Growth(self.setting(QUADRATIC))
-        attack.readers = [Reader("file", lambda n: {"file": bytes(n)}, ["read"], 256, 1024)]
+        attack.readers = [Reader("file", lambda n: {"file": bytes(n)}, ["read"], 256, 2048)]
         self.assertIn("growth", self.kinds(attack, range(1)))
 
     def test_films(self) -> None:
