@@ -13,7 +13,7 @@ LAST = 'for last; do :; done; out="${last#file:}"; '
 """The last argument is the file to write."""
 VERSION = 'case "$*" in *-version*) echo ffmpeg version 6; exit 0;; esac; '
 """Answers the question for its version as ffmpeg does."""
-SECONDS = 40
+SECONDS = 150
 """After which a stand-in that waits ends by itself."""
 FAULTY = {
     "exits": "exit 0",
@@ -50,7 +50,8 @@ NO_PROGRAM = {
     "empty": (b"", 0o755),
 }
 """Files that cannot be started, with their permissions."""
-LIMITS = Limits(cpu=20, wall=20)
+LIMITS = Limits(cpu=20, wall=100)
+"""The program waits a minute for progress."""
 
 
 class Exporters(Attack):
