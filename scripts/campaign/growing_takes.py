@@ -20,6 +20,8 @@ def captures() -> Iterator[Reader]:
     yield Reader("bvh wide", lambda n: {"motion.bvh": tree(n, False)}, VIEW)
     yield Reader("bvh deep, checked", lambda n: {"motion.bvh": tree(n, True)},
                  ["check", "in/motion.bvh", "--units", "cm", "--up", "y"])
+    written = ["view", "in/motion.bvh", "--units", "cm", "--up", "y", "--bvh", "out.bvh"]
+    yield Reader("bvh deep, written", lambda n: {"motion.bvh": tree(n, True)}, written)
     ends = b" End Site\n {\n  OFFSET 0 10 0\n }\n"
     yield Reader("bvh end sites", lambda n: {"motion.bvh": seeds.bvh(9).replace(ends, n * ends)}, VIEW)
     blank = lambda n: {"motion.bvh": seeds.bvh(9).replace(b"MOTION", b" \n" * n + b"MOTION")}

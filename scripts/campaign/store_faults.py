@@ -20,7 +20,8 @@ Answer = Callable[["Handler"], Iterator[bytes]]
 
 def with_length(length: object, body: bytes = b"abc", more: bytes = b"") -> Answer:
     """An answer that states a length."""
-    return lambda _: iter([OK + b"Content-Length: %s\r\n" % str(length).encode() + more + TAG + b"\r\n", body])
+    stated = b"Content-Length: %s\r\n" % str(length).encode()
+    return lambda _: iter([OK + stated + more + TAG + b"\r\n", body])
 
 
 def endless(head: bytes, part: bytes, pause: float = 0.0) -> Answer:
@@ -84,7 +85,7 @@ ENTITIES = (
     + "]><ListBucketResult><Name>&j;</Name></ListBucketResult>"
 ).encode()
 BODIES: dict[str, Answer] = {
-    "ten bytes and endless chunks": endless(OK + b"Content-Length: 10\r\nTransfer-Encoding: chunked\r\n" + TAG + b"\r\n", CHUNK),
+    "ten bytes and endless chunks": endless(CHUNKED + b"Content-Length: 10\r\n" + TAG + b"\r\n", CHUNK),
     "endless chunks": endless(CHUNKED + TAG + b"\r\n", CHUNK),
     "endless": endless(OK + TAG + b"\r\n", b"A" * 0x10000),
     "trickle": endless(OK + b"Content-Length: 100000\r\n" + TAG + b"\r\n", b"A", 0.2),
@@ -108,7 +109,8 @@ BODIES: dict[str, Answer] = {
     "noise": lambda _: iter([b"\x00\xff\x1b[31m" * 1000 + b"\r\n\r\n"]),
     "nothing": lambda _: iter([]),
     "redirect to itself": lambda h: status("302 Found", more=b"Location: %s\r\n" % h.path.encode())(h),
-    "redirect without end": lambda h: status("302 Found", more=b"Location: %s?%d\r\n" % (h.path.encode(), time.monotonic_ns()))(h),
+    "redirect without end": lambda h: status(
+        "302 Found", more=b"Location: %s?%d\r\n" % (h.path.encode(), time.monotonic_ns()))(h),
     "redirect to a file": status("302 Found", more=b"Location: file:///etc/passwd\r\n"),
     "redirect elsewhere": status("301 Moved", more=b"Location: http://127.0.0.1:1/x\r\n"),
     "redirect to nothing": status("302 Found"),
@@ -124,7 +126,8 @@ BODIES: dict[str, Answer] = {
 """Answers to any request."""
 LISTINGS: dict[str, Answer] = {
     "pages without end": pages_without_end,
-    "same page again": listing(objects, "<IsTruncated>true</IsTruncated><NextContinuationToken>t</NextContinuationToken>"),
+    "same page again": listing(
+        objects, "<IsTruncated>true</IsTruncated><NextContinuationToken>t</NextContinuationToken>"),
     "truncated without token": listing(objects, "<IsTruncated>true</IsTruncated>"),
     "entities": with_length(len(ENTITIES), ENTITIES),
     "deep": listing(lambda _: "<a>" * 200_000 + "</a>" * 200_000),
@@ -134,7 +137,8 @@ LISTINGS: dict[str, Answer] = {
     "odd keys": listing(lambda h: objects(h, lambda key: key.replace("synth", "\u202e\u0085=x\n"))),
     "long keys": listing(lambda h: objects(h, lambda key: key.replace("synth", "x" * 100_000))),
     "negative sizes": listing(lambda h: objects(h, size=-1)),
-    "huge sizes": listing(lambda h: objects(h, size=1 << 62)), "sizes beyond": listing(lambda h: objects(h, size=10**30)),
+    "huge sizes": listing(lambda h: objects(h, size=1 << 62)),
+    "sizes beyond": listing(lambda h: objects(h, size=10**30)),
     "twice": listing(lambda h: 2 * objects(h)), "empty": listing(lambda _: ""),
     "another root": with_length(12, b"<html></html>"), "no text": with_length(6, b"\xff\xfe<a\x00>"),
 }

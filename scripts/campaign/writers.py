@@ -96,8 +96,9 @@ def wav_differs(table: str, features: Path, written: wav_writers.Written) -> str
     row = next((line.split("|") for line in table.splitlines() if "song.wav" in line), [])
     if len(row) < 3:
         return f"no row of the song in {table[:200]!r}"
-    if abs(float(row[1]) - written.seconds) > SECONDS:
-        return f"{row[1].strip()} s, not {written.seconds:.3f}"
+    seconds = written.frames / written.rate
+    if abs(float(row[1]) - seconds) > SECONDS:
+        return f"{row[1].strip()} s, not {seconds:.3f}"
     with zipfile.ZipFile(features) as archive:
         content = archive.read("rms.npy")
     numbers = array.array("f")
