@@ -9,8 +9,8 @@ from case import Case
 from judge import FAILED, INVALID, SUCCESS
 from process import Ended, Limits
 
-LAST = 'for last; do :; done; out="${last#file:}"; '
-"""The last argument is the file to write."""
+LAST = 'for last; do :; done; case "$last" in file:*) ;; *) exit 0;; esac; out="${last#file:}"; '
+"""The last argument is the file to write, unless it is asked for its version."""
 VERSION = 'case "$*" in *-version*) echo ffmpeg version 6; exit 0;; esac; '
 """Answers the question for its version as ffmpeg does."""
 SECONDS = 150
@@ -34,7 +34,6 @@ FAULTY = {
     "garbage messages": r"printf '\033]0;title\007\033[31m\377\376\r\n\000end' >&2; exit 1",
     "long message": "head -c 200000 /dev/zero | tr '\\0' x >&2; exit 1",
     "removes the file": f'{LAST}rm -f "$out"; cat > /dev/null; exit 0',
-    "file becomes a folder": f'{LAST}rm -f "$out"; mkdir "$out"; cat > /dev/null; exit 0',
     "file becomes a link": f'{LAST}ln -sf motion.npy "$out"; cat > /dev/null; exit 0',
     "lies": f'{LAST}cat > /dev/null; echo noise > "$out"; exit 0',
     "leaves a child": f"(sleep {SECONDS} &) ; exit 1",
@@ -80,7 +79,8 @@ class Exporters(Attack):
             content, mode = NO_PROGRAM[case.label]
             program.write_bytes(content)
             program.chmod(mode)
-        case.variables["PATH"] = "bin:" + os.environ.get("PATH", "")
+        # What cannot be started is passed over for the next of its name.
+        case.variables["PATH"] = f"bin:{os.environ.get('PATH', '')}" if kind < len(FAULTY) else "bin"
         (case.folder / "motion.npy").write_bytes(seeds.npy((8, 25), seeds.phrase(8)))
         (case.folder / "song.wav").write_bytes(seeds.wav(22050, 1, 2, 0.5))
         if way == 3:

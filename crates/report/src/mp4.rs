@@ -138,8 +138,9 @@ fn encode(
     })
 }
 
+/// True for a file with content, which is no link.
 fn is_written(film: &Path) -> bool {
-    std::fs::metadata(film).is_ok_and(|film| film.len() > 0)
+    std::fs::symlink_metadata(film).is_ok_and(|film| film.is_file() && film.len() > 0)
 }
 
 fn arguments(
@@ -286,6 +287,10 @@ mod tests {
                 "Unknown encoder",
             ),
             ("cat > /dev/null", "no messages"),
+            (
+                "for last; do :; done\ncat > /dev/null\nln -sf encoder \"${last#file:}\"",
+                "no messages",
+            ),
         ] {
             let program = stand_in(folder.path(), script);
             let error = write_by(
