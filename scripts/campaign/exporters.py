@@ -1,6 +1,7 @@
 """Stand-ins for ffmpeg that fail in every way."""
 
 import os
+import shutil
 import time
 
 import seeds
@@ -79,6 +80,7 @@ class Exporters(Attack):
             content, mode = NO_PROGRAM[case.label]
             program.write_bytes(content)
             program.chmod(mode)
+            (program.parent / "prlimit").symlink_to(shutil.which("prlimit"))
         # What cannot be started is passed over for the next of its name.
         case.variables["PATH"] = f"bin:{os.environ.get('PATH', '')}" if kind < len(FAULTY) else "bin"
         (case.folder / "motion.npy").write_bytes(seeds.npy((8, 25), seeds.phrase(8)))
