@@ -295,6 +295,18 @@ fn answers_longer_than_stated_and_slow_trickles_end() {
 }
 
 #[test]
+fn names_too_long_for_an_address_are_errors() {
+    let (_folder, _server, config) = web(true);
+    let source = config.source.as_deref().expect("an address");
+    let store = Store::open(source, &config.store).expect("a store");
+    let error = store.read(&"x".repeat(70_000), 100).expect_err("too long");
+    assert!(
+        error.to_string().contains("no request can be made"),
+        "{error}"
+    );
+}
+
+#[test]
 fn forbidden_objects_are_not_tried_again() {
     let (_folder, server, config) = web(true);
     server.inject(

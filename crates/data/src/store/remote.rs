@@ -9,6 +9,7 @@ use std::sync::{Arc, Once};
 use std::time::{Duration, UNIX_EPOCH};
 
 use futures_util::TryStreamExt;
+use kinegrad_audio::guard::guarded;
 use object_store::path::Path;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload};
 use tokio::runtime::Runtime;
@@ -149,7 +150,7 @@ impl Remote {
     where
         F: Future<Output = Result<T, Failure>>,
     {
-        self.runtime.block_on(async {
+        let requests = async {
             let mut attempts = 0;
             let mut pause = FIRST_PAUSE;
             loop {
@@ -173,6 +174,11 @@ impl Remote {
                 tokio::time::sleep(pause.mul_f64(jitter())).await;
                 pause = (2 * pause).min(LONGEST_PAUSE);
             }
+        };
+        // Requests with keys or tokens of a listing may be longer than addresses can be.
+        guarded(|| self.runtime.block_on(requests)).unwrap_or_else(|| {
+            let reason = "no request can be made of what the store has listed".to_owned();
+            Err(failed(object, action, 1, reason))
         })
     }
 }
