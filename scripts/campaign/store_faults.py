@@ -128,7 +128,12 @@ LISTINGS: dict[str, Answer] = {
     "pages without end": pages_without_end,
     "same page again": listing(
         objects, "<IsTruncated>true</IsTruncated><NextContinuationToken>t</NextContinuationToken>"),
+    "empty pages without end": listing(
+        lambda _: "", "<IsTruncated>true</IsTruncated><NextContinuationToken>t</NextContinuationToken>"),
     "truncated without token": listing(objects, "<IsTruncated>true</IsTruncated>"),
+    "long token": listing(
+        lambda _: "", f"<IsTruncated>true</IsTruncated><NextContinuationToken>{'t' * 100_000}"
+        "</NextContinuationToken>"),
     "entities": with_length(len(ENTITIES), ENTITIES),
     "deep": listing(lambda _: "<a>" * 200_000 + "</a>" * 200_000),
     "keys above": listing(lambda h: objects(h, lambda key: key.replace("/motion/", "/motion/../../"))),

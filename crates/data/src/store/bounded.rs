@@ -12,7 +12,7 @@ use object_store::client::{
 };
 
 /// Largest page of a listing, bytes.
-pub(super) const LARGEST_PAGE: u64 = 16 << 20;
+const LARGEST_PAGE: u64 = 16 << 20;
 
 /// Largest answer that refuses a request, bytes.
 pub(super) const LARGEST_REFUSAL: u64 = 1 << 16;

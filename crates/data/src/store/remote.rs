@@ -15,7 +15,7 @@ use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload};
 use tokio::runtime::Runtime;
 use tokio::sync::Semaphore;
 
-use super::bounded::{LARGEST_PAGE, LARGEST_REFUSAL, SLOWEST};
+use super::bounded::{LARGEST_REFUSAL, SLOWEST};
 use super::{Backend, Object, StoreError, services};
 use crate::layout::check_path;
 use crate::location::Service;
@@ -26,6 +26,10 @@ const FIRST_PAUSE: Duration = Duration::from_millis(100);
 
 /// Longest pause.
 const LONGEST_PAUSE: Duration = Duration::from_secs(20);
+
+/// Bytes of a page of a listing, whose transfer limits the time until the next object: pages may be
+/// empty without end.
+const PAGE: u64 = 1 << 18;
 
 /// Most objects in a listing.
 const MOST_LISTED: usize = 1_000_000;
@@ -257,7 +261,7 @@ impl Backend for Remote {
         self.try_often(&object, "list", || async {
             let mut listing = self.store.list(Some(&key));
             let (mut objects, mut count) = (Vec::new(), 0);
-            while let Some(meta) = self.within(LARGEST_PAGE, listing.try_next()).await? {
+            while let Some(meta) = self.within(PAGE, listing.try_next()).await? {
                 count += 1;
                 if count > MOST_LISTED {
                     let reason = format!("more than {MOST_LISTED} objects are listed");
