@@ -15,6 +15,8 @@ class Attack:
     """Share of the time."""
     on_disk = False
     """True if its folders must be on a disk."""
+    not_applicable = ""
+    """Why the attack does not apply to this build; then it has no cases."""
 
     def __init__(self, setting: Setting) -> None:
         self.setting = setting

@@ -7,9 +7,10 @@ import random
 import shlex
 import shutil
 import threading
+import time
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,34 +18,14 @@ from findings import Findings
 from judge import FAILED, INVALID, SUCCESS, Fault, judged
 from process import Ended, Limits, Process
 from recipes import Recipe
+from texts import table_faults
+from turns import Turns
 
 USUAL = (SUCCESS, FAILED, INVALID)
 ROOM = 2 << 30
 """Bytes of address space that a damaged input may take beyond a valid one."""
 RESIDENT_ROOM = 1 << 30
 """The same of resident memory."""
-
-
-class Turns:
-    """A limit on concurrent processes."""
-
-    def __init__(self, count: int) -> None:
-        self.count, self.free = count, count
-        self.changed = threading.Condition()
-
-    @contextmanager
-    def taken(self, wanted: int = 1) -> Iterator[None]:
-        """Acquires a number of slots, at most all."""
-        wanted = min(wanted, self.count)
-        with self.changed:
-            self.changed.wait_for(lambda: self.free >= wanted)
-            self.free -= wanted
-        try:
-            yield
-        finally:
-            with self.changed:
-                self.free += wanted
-                self.changed.notify_all()
 
 
 @dataclass
@@ -103,7 +84,6 @@ class Stopped(Exception):
 class Case:
     """A case: a folder, its random numbers and its events."""
 
-    variables = VARIABLES
     over = threading.Event()
 
     def __init__(self, setting: Setting, attack: str, number: int, on_disk: bool = True) -> None:
@@ -113,6 +93,10 @@ class Case:
         self.label = attack
         """The subject, for the name of a finding."""
         self.folder = (setting.work if on_disk else setting.memory) / f"{attack}-{number}"
+        self.variables = dict(VARIABLES)
+        """Environment of its processes, beyond that of all."""
+        self.since = 0
+        """Start of its last process, nanoseconds."""
         self.history: list[str] = []
         self.counts: Counter[str] = Counter()
         self.found: list[str] = []
@@ -138,12 +122,13 @@ class Case:
         """Starts the program; the caller has acquired the slots."""
         if self.over.is_set():
             raise Stopped
+        self.since = time.time_ns()
         self.history.append("kinegrad " + shlex.join(arguments))
         return Process(
             self.setting.binary,
             arguments,
             self.folder,
-            self.setting.environment(),
+            {**self.setting.environment(), **self.variables},
             limits or Limits(),
         )
 
@@ -176,6 +161,8 @@ class Case:
         most = self.setting.resident + RESIDENT_ROOM
         for fault in judged(ended, self.label, allowed, most):
             self.finding(fault, ended)
+        for kind, found in table_faults(self.folder, self.since):
+            self.wrong(kind, ended.arguments[0], found, "numbers and plain text", ended)
         if writes and ended.code == 0 and not (self.folder / writes).exists():
             found = f"exit code 0, and nothing in `{writes}`"
             self.finding(Fault("nothing written", ended.arguments[0], found, "a file"), ended)

@@ -51,13 +51,14 @@ class Findings:
         folder = self.folder / name
         folder.mkdir(parents=True, exist_ok=True)
         copied(case.folder, folder / "input")
-        (folder / "expected.txt").write_text(
-            f"found: {fault.found}\nexpected: {fault.expected}\ncase: {record['case']}\n"
+        write(
+            folder / "expected.txt",
+            f"found: {fault.found}\nexpected: {fault.expected}\ncase: {record['case']}\n",
         )
         if ended:
-            (folder / "stdout").write_text(ended.stdout)
-            (folder / "stderr").write_text(ended.stderr)
-            (folder / "exit_code").write_text(f"{ended.code}\n")
+            write(folder / "stdout", ended.stdout)
+            write(folder / "stderr", ended.stderr)
+            write(folder / "exit_code", f"{ended.code}\n")
         self._write_command(folder, case, fault, ended)
         return name
 
@@ -72,7 +73,7 @@ class Findings:
             *[f"export {name}={shlex.quote(value)}" for name, value in case.variables.items()],
             f'KINEGRAD="${{KINEGRAD:-{self.binary}}}"',
         ]
-        lines += [f"# before: {line}" for line in case.history[:-1]]
+        lines += ["# before: " + line.replace("\n", "\\n") for line in case.history[:-1]]
         if ended:
             made = "runs" if ended.arguments[0] == "train" else "out"
             if "--resume" not in ended.arguments:
@@ -86,13 +87,18 @@ class Findings:
             lines.append(f'"$KINEGRAD" {shlex.join(ended.arguments)}')
             lines.append('echo "exit code $?"')
         script = folder / "command.sh"
-        script.write_text("\n".join(lines) + "\n")
+        write(script, "\n".join(lines) + "\n")
         script.chmod(0o755)
 
     @property
     def total(self) -> int:
         """Number of findings."""
         return sum(self.counts.values())
+
+
+def write(path: Path, text: str) -> None:
+    """Writes text in which names of files may be any bytes."""
+    path.write_text(text, errors="surrogateescape")
 
 
 def copied(source: Path, target: Path) -> None:

@@ -5,6 +5,7 @@ import signal
 from dataclasses import dataclass
 
 from process import WORKING, Ended
+from texts import text_faults
 
 SUCCESS, FAILED, INVALID, INTERRUPTED = 0, 1, 2, 130
 DOCUMENTED = (SUCCESS, FAILED, INVALID, INTERRUPTED)
@@ -48,6 +49,8 @@ def judged(
     if ended.peak > most_memory:
         found = f"a resident set of {ended.peak >> 20} MiB"
         faults.append(Fault("memory", name, found, f"at most {most_memory >> 20} MiB"))
+    for kind, found in text_faults(ended):
+        faults.append(Fault(kind, name, found, "plain text, of a bounded length"))
     return faults
 
 

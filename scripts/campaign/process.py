@@ -1,5 +1,6 @@
 """One child process: started in its own group, watched, limited, and always ended."""
 
+import codecs
 import contextlib
 import os
 import resource
@@ -43,6 +44,7 @@ class Limits:
     """Bytes of the largest file it may write."""
     file_size_signal: bool = False
     """True if a write beyond that kills it; otherwise the write fails."""
+
     def command(self) -> list[str]:
         """The launcher of a program under these limits, which apply from its first instruction."""
         given = {"as": self.memory, "fsize": self.file_size, "core": 0}
@@ -67,6 +69,8 @@ class Ended:
     """Why it was ended for hanging."""
     killed: bool
     """True if the campaign sent it a signal."""
+    is_text: tuple[bool, bool] = (True, True)
+    """True if stdout and stderr are UTF-8."""
     limits: Limits = field(default_factory=Limits)
     peak_address_space: int = 0
 
@@ -183,6 +187,7 @@ class Process:
             peak=1024 * usage.ru_maxrss,
             hang=self.hang,
             killed=self.killed,
+            is_text=tuple(map(is_utf8, self.output.values())),
             limits=self.limits,
             peak_address_space=self.peak_address_space,
         )
@@ -241,6 +246,15 @@ class Process:
         except (BlockingIOError, OSError):
             pass
         return some
+
+
+def is_utf8(text: bytes) -> bool:
+    """True for UTF-8, whose last character may be cut off."""
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(text)
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 def end_all() -> None:

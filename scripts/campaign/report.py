@@ -26,7 +26,7 @@ def write(
         "broken": schedule.broken,
     }
     (out / "report.json").write_text(json.dumps(record, indent=2) + "\n")
-    (out / "report.md").write_text(text(record))
+    (out / "report.md").write_text(text(record), errors="backslashreplace")
 
 
 def text(record: dict[str, object]) -> str:
@@ -45,6 +45,8 @@ def text(record: dict[str, object]) -> str:
     if record["formats_left_out"]:
         names = ", ".join(record["formats_left_out"])
         lines += [f"NOT ATTACKED, because no command takes a valid file: {names}.", ""]
+    for name, reason in record["not_applicable"].items():
+        lines += [f"Not applicable: {name}: {reason}.", ""]
     lines += [
         "| attack | cases | of | faults | minutes | counts | peak MiB | slowest, CPU s |",
         "|---|---|---|---|---|---|---|---|",

@@ -109,6 +109,37 @@ fn a_run_whose_logs_are_links_is_not_continued() {
 }
 
 #[test]
+fn folders_of_a_run_that_are_links_are_not_written_to() {
+    let sandbox = sandbox();
+    let resume = &format!("train c.toml --resume --set train.max_steps=6 {PLAIN}");
+    let eval = "eval runs/smallest --steps 1 --set evaluation.phrases=1";
+    fs::create_dir(sandbox.path("elsewhere")).expect("a folder");
+    for (name, command) in [
+        ("reports", eval),
+        ("checkpoints", resume),
+        ("samples", resume),
+        ("previews", resume),
+    ] {
+        let path = sandbox.path(format!("runs/smallest/{name}"));
+        let kept = sandbox.path("kept");
+        let was_there = fs::rename(&path, &kept).is_ok();
+        for target in ["elsewhere", "nowhere"] {
+            symlink(sandbox.path(target), &path).expect("a link");
+            sandbox
+                .run(command)
+                .failed(2, &[name, "leads out of the run"]);
+            assert_eq!(sandbox.list("elsewhere").len(), 0, "{name}");
+            fs::remove_file(&path).expect("removed");
+        }
+        if was_there {
+            fs::rename(&kept, &path).expect("put back");
+        }
+    }
+    sandbox.run(eval).succeeded();
+    sandbox.run(resume).succeeded();
+}
+
+#[test]
 fn reports_contain_no_file_from_outside_of_the_run() {
     let sandbox = sandbox();
     let run = "runs/smallest";

@@ -8,11 +8,11 @@ use std::time::SystemTime;
 
 use kinegrad_data::file::{is_inside, regular};
 use kinegrad_train::checkpoint::{Best, Checkpoints, State};
-use kinegrad_train::run::{PREVIEWS, SAMPLES, is_in_use};
+use kinegrad_train::run::{PREVIEWS, REPORTS, SAMPLES, is_in_use};
 use kinegrad_train::{Config, Error, Systems};
 
 /// Subfolders of a run that contain no runs.
-const INSIDE: [&str; 4] = ["checkpoints", "reports", SAMPLES, PREVIEWS];
+const INSIDE: [&str; 4] = ["checkpoints", REPORTS, SAMPLES, PREVIEWS];
 
 /// Depth of the search for runs.
 const DEPTH: usize = 6;
@@ -268,7 +268,7 @@ pub fn is_run(folder: &Path) -> bool {
 fn has_only_a_config(folder: &Path) -> bool {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let names: Vec<OsString> = entries.map(|entry| entry.file_name()).collect();
-    let beside = ["config.toml", "reports", "report.html", SAMPLES, PREVIEWS];
+    let beside = ["config.toml", REPORTS, "report.html", SAMPLES, PREVIEWS];
     names.iter().any(|name| name == "config.toml")
         && names.iter().all(|name| {
             let name = name.to_string_lossy();

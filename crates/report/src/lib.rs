@@ -2,6 +2,7 @@
 
 mod columns;
 mod drawing;
+mod encoder;
 mod escape;
 mod export;
 mod font;

@@ -1,13 +1,13 @@
 //! MP4 videos with the song, through `ffmpeg`.
 
 use std::ffi::{OsStr, OsString};
-use std::io::{Read, Write};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
-use std::thread;
+use std::process::{Command, Stdio};
+use std::time::Duration;
 
 use kinegrad_output::Unfinished;
 
+use crate::encoder::{self, Encoder};
 use crate::export::{self, ExportError, Stop};
 use crate::raster::Painter;
 use crate::scene::{Scene, Song};
@@ -18,6 +18,8 @@ const ENCODER: &str = "ffmpeg";
 const FPS: u32 = 30;
 /// Pixels of a video relative to a GIF, along each side.
 const SCALE: u32 = 2;
+/// Time without progress after which ffmpeg is ended.
+const PATIENCE: Duration = Duration::from_secs(60);
 /// Number of ffmpeg's lines in an error.
 const LAST_LINES: usize = 4;
 
@@ -29,17 +31,28 @@ const LAST_LINES: usize = 4;
 /// [`ExportError::NoEncoder`] without ffmpeg; [`ExportError::Encoder`] if ffmpeg fails; [`ExportError::Write`];
 /// [`ExportError::Interrupted`] once `stop` returns true.
 pub fn write(scene: &Scene, out: &Path, stop: Stop<'_>) -> Result<(), ExportError> {
-    write_by(OsStr::new(ENCODER), scene, out, stop)
+    write_by(OsStr::new(ENCODER), PATIENCE, scene, out, stop)
 }
 
-/// Checks that ffmpeg is on the PATH.
+/// Checks that ffmpeg is on the PATH and answers.
 ///
 /// # Errors
 /// [`ExportError::NoEncoder`].
 pub fn must_have_encoder(out: &Path) -> Result<(), ExportError> {
-    let started = Command::new(ENCODER).arg("-version").output();
-    let missing = |reason| no_encoder(out, OsStr::new(ENCODER), &reason);
-    started.map(|_| ()).map_err(missing)
+    must_answer(OsStr::new(ENCODER), PATIENCE, out)
+}
+
+fn must_answer(program: &OsStr, patience: Duration, out: &Path) -> Result<(), ExportError> {
+    let missing = |reason| no_encoder(out, program, &reason);
+    let mut command = Command::new(program);
+    command
+        .arg("-version")
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null());
+    let mut child = command.spawn().map_err(missing)?;
+    let answered = encoder::wait(&mut child, patience, out, || false);
+    answered.map(drop).map_err(missing)
 }
 
 fn no_encoder(out: &Path, program: &OsStr, reason: &std::io::Error) -> ExportError {
@@ -51,7 +64,13 @@ fn no_encoder(out: &Path, program: &OsStr, reason: &std::io::Error) -> ExportErr
 }
 
 /// [`write`] through another program with the same arguments.
-fn write_by(program: &OsStr, scene: &Scene, out: &Path, stop: Stop<'_>) -> Result<(), ExportError> {
+fn write_by(
+    program: &OsStr,
+    patience: Duration,
+    scene: &Scene,
+    out: &Path,
+    stop: Stop<'_>,
+) -> Result<(), ExportError> {
     export::check(scene, out)?;
     export::check_pictures(scene, pictures(scene), out)?;
     let film = Unfinished::new(out).map_err(ExportError::write(out))?;
@@ -61,7 +80,7 @@ fn write_by(program: &OsStr, scene: &Scene, out: &Path, stop: Stop<'_>) -> Resul
     });
     let music = music.transpose()?;
     let song = music.as_ref().map(|(song, file)| (*song, file.path()));
-    encode(program, scene, song, film.path(), out, stop)?;
+    encode((program, patience), scene, song, film.path(), out, stop)?;
     film.finish().map_err(ExportError::write(out))
 }
 
@@ -71,7 +90,7 @@ fn pictures(scene: &Scene) -> usize {
 }
 
 fn encode(
-    program: &OsStr,
+    (program, patience): (&OsStr, Duration),
     scene: &Scene,
     song: Option<(&Song, &Path)>,
     film: &Path,
@@ -93,8 +112,14 @@ fn encode(
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
     let child = command.spawn();
-    let mut child = child.map_err(|reason| no_encoder(out, program, &reason))?;
-    let (status, messages, taken) = feed(&mut child, &painter, count, stop);
+    let child = child.map_err(|reason| no_encoder(out, program, &reason))?;
+    let encoder = Encoder::new(child, patience);
+    let are_offered = (0..count).all(|picture| {
+        let image = painter.at(picture as f64 / f64::from(FPS));
+        !stop(picture, count) && encoder.take(image.rgb, || stop(picture, count))
+    });
+    let (status, messages, are_taken) = encoder.finish(film, || stop(count, count));
+    let taken = are_offered && are_taken;
     if stop(count, count) {
         return Err(ExportError::Interrupted {
             out: out.to_path_buf(),
@@ -113,35 +138,9 @@ fn encode(
     })
 }
 
+/// True for a file with content, which is no link.
 fn is_written(film: &Path) -> bool {
-    std::fs::metadata(film).is_ok_and(|film| film.len() > 0)
-}
-
-/// Feeds the pictures; returns exit status, messages, and true if all pictures were taken.
-fn feed(
-    child: &mut Child,
-    painter: &Painter<'_>,
-    count: usize,
-    stop: Stop<'_>,
-) -> (std::io::Result<std::process::ExitStatus>, String, bool) {
-    let mut pictures = child.stdin.take().expect("it is piped");
-    let mut errors = child.stderr.take().expect("it is piped");
-    // A thread reads the messages, because unread messages block the program.
-    let messages = thread::spawn(move || {
-        let mut messages = Vec::new();
-        let _ = errors.read_to_end(&mut messages);
-        String::from_utf8_lossy(&messages).into_owned()
-    });
-    let taken = (0..count).all(|picture| {
-        let image = painter.at(picture as f64 / f64::from(FPS));
-        !stop(picture, count) && pictures.write_all(&image.rgb).is_ok()
-    });
-    drop(pictures);
-    if stop(count, count) {
-        let _ = child.kill();
-    }
-    let status = child.wait();
-    (status, messages.join().unwrap_or_default(), taken)
+    std::fs::symlink_metadata(film).is_ok_and(|film| film.is_file() && film.len() > 0)
 }
 
 fn arguments(
@@ -235,7 +234,14 @@ mod tests {
                       done\n{ echo \"$@\"; [ -z \"$song\" ] || cat \"$song\"; echo; wc -c; } \
                       > \"${last#file:}\"";
         let program = stand_in(folder.path(), script);
-        write_by(program.as_os_str(), &scene(true), &out, &|_, _| false).unwrap();
+        write_by(
+            program.as_os_str(),
+            PATIENCE,
+            &scene(true),
+            &out,
+            &|_, _| false,
+        )
+        .unwrap();
         assert_eq!(files(folder.path()), ["dance.mp4", "encoder"]);
         let log = fs::read_to_string(&out).unwrap();
         let lines: Vec<&str> = log.lines().collect();
@@ -245,8 +251,14 @@ mod tests {
         assert!(lines[0].contains("-t 1.000000") && lines[0].contains("-pix_fmt yuv420p"));
         assert_eq!(lines[1], "a song");
         assert_eq!(lines[2].trim(), (30 * 3 * 800 * 720).to_string());
-        write_by(program.as_os_str(), &scene(false), &out, &|_, _| false)
-            .unwrap_or_else(|e| panic!("{e}"));
+        write_by(
+            program.as_os_str(),
+            PATIENCE,
+            &scene(false),
+            &out,
+            &|_, _| false,
+        )
+        .unwrap_or_else(|e| panic!("{e}"));
         assert!(!fs::read_to_string(&out).unwrap().contains("-ss"));
     }
 
@@ -257,7 +269,8 @@ mod tests {
         let mut slow = scene(true);
         slow.objects[0].fps = 1e-6;
         let program = stand_in(folder.path(), "cat > /dev/null");
-        let error = write_by(program.as_os_str(), &slow, &out, &|_, _| false).unwrap_err();
+        let error =
+            write_by(program.as_os_str(), PATIENCE, &slow, &out, &|_, _| false).unwrap_err();
         assert!(error.to_string().contains("at most 2592000"), "{error}");
         assert_eq!(files(folder.path()), ["encoder"]);
     }
@@ -274,16 +287,27 @@ mod tests {
                 "Unknown encoder",
             ),
             ("cat > /dev/null", "no messages"),
+            (
+                "for last; do :; done\ncat > /dev/null\nln -sf encoder \"${last#file:}\"",
+                "no messages",
+            ),
         ] {
             let program = stand_in(folder.path(), script);
-            let error =
-                write_by(program.as_os_str(), &scene(true), &out, &|_, _| false).unwrap_err();
+            let error = write_by(
+                program.as_os_str(),
+                PATIENCE,
+                &scene(true),
+                &out,
+                &|_, _| false,
+            )
+            .unwrap_err();
             assert!(matches!(error, ExportError::Encoder { .. }), "{error}");
             assert!(error.to_string().contains(messages), "{error}");
             assert_eq!(files(folder.path()), ["dance.mp4", "encoder"]);
         }
         let error = write_by(
             OsStr::new("no-such-encoder"),
+            PATIENCE,
             &scene(true),
             &out,
             &|_, _| false,
@@ -312,10 +336,36 @@ mod tests {
             asked.get() > 5
         };
         let began = std::time::Instant::now();
-        let error = write_by(program.as_os_str(), &scene(true), &out, &stop).unwrap_err();
+        let error = write_by(program.as_os_str(), PATIENCE, &scene(true), &out, &stop).unwrap_err();
         assert!(matches!(error, ExportError::Interrupted { .. }), "{error}");
         assert!(began.elapsed().as_secs() < 30);
         assert_eq!(files(folder.path()), ["encoder"]);
+    }
+
+    #[test]
+    fn an_encoder_that_hangs_or_floods_is_ended() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("dance.mp4");
+        let patience = Duration::from_millis(300);
+        let began = std::time::Instant::now();
+        for script in [
+            "exec sleep 60",
+            "cat > /dev/null; exec sleep 60",
+            "exec yes >&2",
+            "sleep 60 & exit 1",
+        ] {
+            let program = stand_in(folder.path(), script);
+            let program = program.as_os_str();
+            let error = write_by(program, patience, &scene(false), &out, &|_, _| false);
+            let error = error.unwrap_err();
+            assert!(matches!(error, ExportError::Encoder { .. }), "{error}");
+            assert!(error.to_string().len() < 20_000, "{script}");
+            assert_eq!(files(folder.path()), ["encoder"], "{script}");
+        }
+        let program = stand_in(folder.path(), "exec sleep 60");
+        let error = must_answer(program.as_os_str(), patience, &out).unwrap_err();
+        assert!(error.to_string().contains("did nothing"), "{error}");
+        assert!(began.elapsed().as_secs() < 30);
     }
 
     #[test]

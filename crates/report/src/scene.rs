@@ -192,11 +192,15 @@ impl SceneObject {
         self.frames() as f64 / self.fps
     }
 
-    /// The joints whose parent is `joint`.
-    pub(crate) fn children(&self, joint: usize) -> Vec<usize> {
-        let all = self.parents.iter().enumerate();
-        let own = all.filter(|(_, parent)| **parent == Some(joint));
-        own.map(|(child, _)| child).collect()
+    /// The children of each joint.
+    pub(crate) fn children(&self) -> Vec<Vec<usize>> {
+        let mut children = vec![Vec::new(); self.joints()];
+        for (child, parent) in self.parents.iter().enumerate() {
+            if let Some(parent) = *parent {
+                children[parent].push(child);
+            }
+        }
+        children
     }
 
     /// Position of a joint in a frame.

@@ -7,7 +7,8 @@ mod start;
 
 pub use context::{Outcome, RunContext, TrainingData};
 pub use folder::{
-    PREVIEWS, SAMPLES, UNFINISHED_SAMPLES, contains_run, is_in_use, preview_page, remove,
+    PREVIEWS, REPORTS, SAMPLES, UNFINISHED_SAMPLES, contains_run, is_in_use, must_be_inside,
+    preview_page, remove,
 };
 pub use plan::Plan;
 pub use start::{Target, TrainRequest, load_config, train, train_config, train_distributed};

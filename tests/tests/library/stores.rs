@@ -274,7 +274,7 @@ fn answers_longer_than_stated_and_slow_trickles_end() {
     for (fault, expected) in [
         (Fault::Endless, "more than 10 bytes came"),
         (Fault::EndlessRefusal, "more than 65536 bytes came"),
-        (Fault::Trickle, "did not end within"),
+        (Fault::Trickle, "less than 4096 bytes came in a second"),
     ] {
         let (_folder, server, mut config) = web(true);
         config.store.max_retries = 0;
@@ -292,6 +292,18 @@ fn answers_longer_than_stated_and_slow_trickles_end() {
             server.endless_mib()
         );
     }
+}
+
+#[test]
+fn names_too_long_for_an_address_are_errors() {
+    let (_folder, _server, config) = web(true);
+    let source = config.source.as_deref().expect("an address");
+    let store = Store::open(source, &config.store).expect("a store");
+    let error = store.read(&"x".repeat(70_000), 100).expect_err("too long");
+    assert!(
+        error.to_string().contains("no request can be made"),
+        "{error}"
+    );
 }
 
 #[test]

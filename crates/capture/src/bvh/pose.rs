@@ -57,8 +57,11 @@ impl Bvh {
     /// the frame that the step ends in; `None` for a single frame. The trunk is the first joint of
     /// several children, or the root.
     pub fn largest_turn(&self) -> Option<(usize, f64)> {
-        let children = |parent| self.joints.iter().filter(move |j| j.parent == Some(parent));
-        let trunk = (0..self.joints.len()).find(|&joint| children(joint).count() > 1);
+        let mut children = vec![0; self.joints.len()];
+        for parent in self.joints.iter().filter_map(|joint| joint.parent) {
+            children[parent] += 1;
+        }
+        let trunk = children.iter().position(|&count| count > 1);
         let orientation = |t| self.world_of(trunk.unwrap_or(0), t).orientation;
         let turn = |t: usize| {
             let cosine = orientation(t - 1).dot(orientation(t)).abs();

@@ -292,14 +292,17 @@ fn mistakes_are_named_with_their_line() {
 }
 
 #[test]
-fn a_deep_tree_needs_no_stack() {
+fn a_deep_tree_needs_no_stack_and_grows_with_its_joints_alone() {
     let depth = 100_000;
     let mut text = "HIERARCHY\nROOT a\n{ OFFSET 0 1 0 CHANNELS 1 Xposition\n".to_string();
     text.push_str(&"JOINT a\n{ OFFSET 0 1 0\n".repeat(depth));
     text.push_str(&"}".repeat(depth + 1));
     text.push_str("\nMOTION\nFrames: 1\nFrame Time: 1\n5\n");
-    let world = parse(&text).unwrap().world(0);
+    let bvh = parse(&text).unwrap();
+    let world = bvh.world(0);
     assert!(near(world[depth].position, [5.0, 1.0 + depth as f64, 0.0]));
+    assert_eq!(bvh.largest_turn(), None);
+    assert!(bvh.to_text().len() < 400 * depth);
 }
 
 fn channel_name(channel: Channel) -> String {

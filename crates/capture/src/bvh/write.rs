@@ -169,18 +169,26 @@ fn check(
 /// The joints in the order of the text: each followed by its descendants.
 fn depth_first(figure: &[Joint]) -> Vec<usize> {
     let mut order = Vec::with_capacity(figure.len());
+    let mut children = vec![Vec::new(); figure.len()];
+    for (child, joint) in figure.iter().enumerate() {
+        if let Some(parent) = joint.parent {
+            children[parent].push(child);
+        }
+    }
     let mut waiting = vec![0];
     while let Some(joint) = waiting.pop() {
         order.push(joint);
-        let children = (joint + 1..figure.len()).filter(|c| figure[*c].parent == Some(joint));
         // The loop takes joints from the end, so the first child is last.
-        waiting.extend(children.rev());
+        waiting.extend(children[joint].iter().rev());
     }
     order
 }
 
+/// Most tabs before a line, so that text grows with the joints alone.
+const MOST_TABS: usize = 64;
+
 fn line(text: &mut String, depth: usize, content: &str) {
-    text.extend(std::iter::repeat_n('\t', depth));
+    text.extend(std::iter::repeat_n('\t', depth.min(MOST_TABS)));
     text.push_str(content);
     text.push('\n');
 }

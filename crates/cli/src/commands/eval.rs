@@ -11,6 +11,7 @@ use std::rc::Rc;
 use kinegrad_report::{Column, Section, columns_csv, columns_table};
 use kinegrad_train::checkpoint::SavedCheckpoint;
 use kinegrad_train::evaluation::{self, Evaluated, EvaluationRequest};
+use kinegrad_train::run::{REPORTS, must_be_inside};
 use kinegrad_train::{Error, ProcessGroup, Systems, TrainedModel, config};
 
 use super::sample::{checkpoint, trained_for, while_it_is_trained};
@@ -78,11 +79,12 @@ fn evaluate(
         )],
         None => {
             let own = models.iter().zip(runs).map(|(trained, run)| {
-                let folder = run_folder(trained.path()).join("reports");
+                let folder = run_folder(trained.path());
+                must_be_inside(folder, REPORTS)?;
                 let settings = settings(std::slice::from_ref(trained)).of_checkpoint(run);
-                Reports::named(&folder, stem, settings)
+                Ok(Reports::named(&folder.join(REPORTS), stem, settings))
             });
-            own.collect()
+            own.collect::<Result<_, Error>>()?
         }
     };
     let mut made = Ok(());

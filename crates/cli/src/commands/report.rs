@@ -11,6 +11,7 @@ use std::process::ExitCode;
 
 use kinegrad_data::file::{is_inside, read_text};
 use kinegrad_report::page::{Block, Cell, Page, Section, Table, Tone, csv_table, html};
+use kinegrad_train::run::REPORTS;
 use kinegrad_train::telemetry::{Record, read_environments, read_metrics};
 use kinegrad_train::{Error, Systems, config};
 
@@ -178,7 +179,7 @@ fn own_files(run: &Path, folder: &str, endings: &[&str], section: &mut Section) 
 /// The reports of `kinegrad eval`.
 fn evaluation(run: &Path) -> Section {
     let mut section = Section::new("Evaluation");
-    for path in own_files(run, "reports", &["csv", "json"], &mut section) {
+    for path in own_files(run, REPORTS, &["csv", "json"], &mut section) {
         let name = file_stem(&path);
         let is_csv = path.extension().is_some_and(|ending| ending == "csv");
         let text = match read_text(&path) {

@@ -9,12 +9,13 @@ use std::sync::{Arc, Once};
 use std::time::{Duration, UNIX_EPOCH};
 
 use futures_util::TryStreamExt;
+use kinegrad_audio::guard::guarded;
 use object_store::path::Path;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload};
 use tokio::runtime::Runtime;
 use tokio::sync::Semaphore;
 
-use super::bounded::{LARGEST_PAGE, LARGEST_REFUSAL};
+use super::bounded::{LARGEST_REFUSAL, SLOWEST};
 use super::{Backend, Object, StoreError, services};
 use crate::layout::check_path;
 use crate::location::Service;
@@ -26,8 +27,9 @@ const FIRST_PAUSE: Duration = Duration::from_millis(100);
 /// Longest pause.
 const LONGEST_PAUSE: Duration = Duration::from_secs(20);
 
-/// Slowest transfer, bytes per second; a slower one is cut off.
-const SLOWEST: f64 = 4096.0;
+/// Bytes of a page of a listing, whose transfer limits the time until the next object: pages may be
+/// empty without end.
+const PAGE: u64 = 1 << 18;
 
 /// Most objects in a listing.
 const MOST_LISTED: usize = 1_000_000;
@@ -152,7 +154,7 @@ impl Remote {
     where
         F: Future<Output = Result<T, Failure>>,
     {
-        self.runtime.block_on(async {
+        let requests = async {
             let mut attempts = 0;
             let mut pause = FIRST_PAUSE;
             loop {
@@ -176,6 +178,11 @@ impl Remote {
                 tokio::time::sleep(pause.mul_f64(jitter())).await;
                 pause = (2 * pause).min(LONGEST_PAUSE);
             }
+        };
+        // Requests with keys or tokens of a listing may be longer than addresses can be.
+        guarded(|| self.runtime.block_on(requests)).unwrap_or_else(|| {
+            let reason = "no request can be made of what the store has listed".to_owned();
+            Err(failed(object, action, 1, reason))
         })
     }
 }
@@ -254,7 +261,7 @@ impl Backend for Remote {
         self.try_often(&object, "list", || async {
             let mut listing = self.store.list(Some(&key));
             let (mut objects, mut count) = (Vec::new(), 0);
-            while let Some(meta) = self.within(LARGEST_PAGE, listing.try_next()).await? {
+            while let Some(meta) = self.within(PAGE, listing.try_next()).await? {
                 count += 1;
                 if count > MOST_LISTED {
                     let reason = format!("more than {MOST_LISTED} objects are listed");

@@ -32,7 +32,7 @@ fn gcs(bucket: &str, config: &StoreConfig) -> object_store::Result<Box<dyn Objec
         .with_bucket_name(bucket)
         .with_client_options(client_options(config))
         .with_retry(no_retries())
-        .with_http_connector(BoundedConnector);
+        .with_http_connector(connector(config));
     let emulator = emulator();
     let endpoint = config.endpoint.as_ref().or(emulator.as_ref());
     if let Some(endpoint) = endpoint {
@@ -65,7 +65,7 @@ fn s3(bucket: &str, config: &StoreConfig) -> object_store::Result<Box<dyn Object
         .with_bucket_name(bucket)
         .with_client_options(client_options(config))
         .with_retry(no_retries())
-        .with_http_connector(BoundedConnector);
+        .with_http_connector(connector(config));
     if let Some(endpoint) = &config.endpoint {
         builder = builder.with_endpoint(endpoint.trim_end_matches('/'));
     }
@@ -80,12 +80,22 @@ fn http(uri: &str, config: &StoreConfig) -> object_store::Result<Box<dyn ObjectS
         .with_url(uri)
         .with_client_options(client_options(config))
         .with_retry(no_retries())
-        .with_http_connector(BoundedConnector);
+        .with_http_connector(connector(config));
     Ok(Box::new(builder.build()?))
 }
 
+fn patience(config: &StoreConfig) -> Duration {
+    Duration::from_secs_f64(config.timeout_seconds)
+}
+
+fn connector(config: &StoreConfig) -> BoundedConnector {
+    BoundedConnector {
+        patience: patience(config),
+    }
+}
+
 fn client_options(config: &StoreConfig) -> ClientOptions {
-    let patience = Duration::from_secs_f64(config.timeout_seconds);
+    let patience = patience(config);
     ClientOptions::new()
         // The user's endpoint may be an emulator without TLS.
         .with_allow_http(true)

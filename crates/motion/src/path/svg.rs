@@ -22,6 +22,9 @@ const MOST_PIECES: usize = 1 << 20;
 /// Largest number of nodes of a file; entities can multiply nodes.
 const MOST_NODES: u32 = 1 << 20;
 
+/// Largest number of attributes of an element; the parser compares each with those before it.
+const MOST_ATTRIBUTES: usize = 4096;
+
 /// The first `path`, `polyline`, `polygon` or `line` of an SVG file, with `scale` metres per unit.
 /// Returns points `[x, z]`, metres, x to the right, z up, and true if closed. Only the first
 /// subpath is read.
@@ -30,6 +33,13 @@ pub(super) fn read_svg(text: &str, scale: f64) -> Result<(Vec<[f64; 2]>, bool), 
         let (least, most) = (SCALES.start(), SCALES.end());
         return Err(format!(
             "a unit is {scale} metres, allowed: {least} to {most}"
+        ));
+    }
+    // Values of attributes contain no `<`.
+    let has_many = |tag: &str| tag.matches('=').nth(MOST_ATTRIBUTES).is_some();
+    if text.split('<').any(has_many) {
+        return Err(format!(
+            "an element has more than {MOST_ATTRIBUTES} attributes"
         ));
     }
     // Drawing programs write a document type.
@@ -143,6 +153,15 @@ mod tests {
 
     fn svg(inside: &str) -> String {
         format!("<svg xmlns='http://www.w3.org/2000/svg'><g>{inside}</g></svg>")
+    }
+
+    #[test]
+    fn many_attributes_are_refused() {
+        let attributes: String = (0..=MOST_ATTRIBUTES)
+            .map(|n| format!(" a{n}='>'"))
+            .collect();
+        let error = read_svg(&svg(&format!("<g{attributes}/>")), 1.0).unwrap_err();
+        assert!(error.contains("more than 4096 attributes"), "{error}");
     }
 
     #[test]

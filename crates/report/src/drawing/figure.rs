@@ -117,6 +117,7 @@ impl Figure {
 
     fn find_bones(&mut self, object: &SceneObject) {
         let limits = &DRAWING.bone;
+        let children = object.children();
         for (joint, parent) in object.parents.iter().enumerate() {
             let Some(parent) = *parent else { continue };
             let lengths = measured(object.frames()).map(|frame| {
@@ -139,12 +140,8 @@ impl Figure {
                 continue;
             }
             // Some captures have a root on the floor below the hips.
-            let children = object
-                .parents
-                .iter()
-                .filter(|other| **other == Some(parent));
             if object.parents[parent].is_none()
-                && children.count() == 1
+                && children[parent].len() == 1
                 && length > limits.most_root_length * self.height
             {
                 self.root = joint;

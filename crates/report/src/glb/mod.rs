@@ -70,10 +70,13 @@ fn add(document: &mut Document, object: &SceneObject, place: [f32; 3]) {
         json!({ "name": object.name, "translation": place, "children": [first] }),
     );
     document.roots.push(holder);
-    for (index, joint) in rig.nodes.iter().enumerate() {
-        let nodes = rig.nodes.iter().enumerate();
-        let children = nodes.filter(|(_, node)| node.parent == Some(index));
-        let children: Vec<usize> = children.map(|(child, _)| first + child).collect();
+    let mut children = vec![Vec::new(); rig.nodes.len()];
+    for (child, node) in rig.nodes.iter().enumerate() {
+        if let Some(parent) = node.parent {
+            children[parent].push(first + child);
+        }
+    }
+    for (joint, children) in rig.nodes.iter().zip(children) {
         let mut node = json!({
             "name": joint.name,
             "translation": joint.rest.0,

@@ -69,7 +69,8 @@ impl Rig {
     /// One node per joint, with the motion of a hierarchy.
     fn of(object: &SceneObject, hierarchy: &Hierarchy) -> Self {
         let joints = 0..object.joints();
-        let nodes = joints.clone().map(|joint| {
+        let nodes = joints.clone().zip(object.children());
+        let nodes = nodes.map(|(joint, children)| {
             let offset = hierarchy.offsets[joint];
             let frames = hierarchy.translations.chunks_exact(object.joints());
             let at_rest = |place| if near(offset, place) { offset } else { place };
@@ -81,7 +82,7 @@ impl Rig {
             });
             RigNode {
                 parent: object.parents[joint],
-                bones_to: object.children(joint),
+                bones_to: children,
                 rest: (offset, Rotation::IDENTITY),
                 translations: frames.map(|frame| at_rest(frame[joint])).collect(),
                 rotations: turns.collect(),
@@ -98,9 +99,10 @@ impl Rig {
     fn tree(object: &SceneObject) -> Self {
         let mut nodes: Vec<RigNode> = Vec::new();
         let mut joints = vec![0; object.joints()];
+        let children = object.children();
         let mut waiting = vec![(0, None)];
         while let Some((joint, parent)) = waiting.pop() {
-            let below = object.children(joint);
+            let below = &children[joint];
             let place = nodes.len();
             joints[joint] = place;
             let mut node = RigNode {

@@ -377,8 +377,7 @@ fn a_hierarchy_keeps_its_nodes_rotations_and_rest_pose() {
         assert_eq!(translation, hierarchy.offsets[joint]);
         assert_eq!(rotation, [0.0, 0.0, 0.0, 1.0]);
         let below: Vec<&str> = node.children().map(|child| child.name().unwrap()).collect();
-        let known: Vec<&str> = object
-            .children(joint)
+        let known: Vec<&str> = object.children()[joint]
             .iter()
             .map(|&child| object.joint_names[child].as_str())
             .collect();

@@ -83,8 +83,9 @@ fn poses(object: &SceneObject) -> Option<Panel> {
         false => BESIDE,
     };
     let count = count.min(frames);
+    let children = object.children();
     let loose: Vec<usize> = (0..object.joints())
-        .filter(|joint| object.parents[*joint].is_none() && !object.parents.contains(&Some(*joint)))
+        .filter(|joint| object.parents[*joint].is_none() && children[*joint].is_empty())
         .collect();
     let is_dense = count as f64 > 10.0 * object.seconds();
     let digits = if is_dense { 2 } else { 1 };

@@ -11,6 +11,7 @@ mod panel;
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
+use kinegrad_output::block;
 use miette::Diagnostic;
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -127,7 +128,8 @@ impl<'a> Sheet<'a> {
         let root = SVGBackend::with_string(&mut text, self.size).into_drawing_area();
         self.draw(&root)?;
         drop(root);
-        Ok(text.into_bytes())
+        // XML has no control characters, and titles are names of files.
+        Ok(block(&text).into_owned().into_bytes())
     }
 
     fn png(&self) -> Result<Vec<u8>, Box<dyn Error>> {
@@ -184,6 +186,19 @@ mod tests {
         let (across, down) = (corners[1].0 - corners[0].0, corners[2].1 - corners[1].1);
         assert!(down > 100.0, "z goes downwards: {corners:?}");
         assert!((across - down).abs() <= 2.0, "{corners:?}");
+    }
+
+    #[test]
+    fn names_leave_no_control_characters() {
+        let curve = |name: &str| (name.to_string(), vec![(0.0, 0.0), (4.0, 1.0)]);
+        let svg = svg(&[Panel::lines(
+            "red\u{1b}[31m\u{7}",
+            "s",
+            vec![curve("a\u{8}b")],
+        )]);
+        let is_control = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
+        assert!(!svg.contains(is_control), "{svg:?}");
+        assert!(svg.contains("red\\u{1b}[31m\\u{7}"), "{svg}");
     }
 
     #[test]

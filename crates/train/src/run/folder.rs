@@ -5,7 +5,7 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use kinegrad_data::file::regular;
+use kinegrad_data::file::{is_inside, regular};
 
 use crate::checkpoint::Checkpoints;
 use crate::config::{self, Config};
@@ -23,6 +23,9 @@ pub const UNFINISHED_SAMPLES: &str = ".writing-samples";
 
 /// Folder of the previews during training.
 pub const PREVIEWS: &str = "previews";
+
+/// Folder of the reports of evaluations.
+pub const REPORTS: &str = "reports";
 
 /// Page of the previews of `step` of the run in `folder`.
 pub fn preview_page(folder: &Path, step: u64) -> PathBuf {
@@ -62,11 +65,36 @@ const WRITTEN: [&str; 9] = [
     "loader.jsonl",
     "events.out.tfevents.kinegrad",
     telemetry::ENVIRONMENT,
-    "reports",
+    REPORTS,
     PREVIEWS,
     SAMPLES,
     UNFINISHED_SAMPLES,
 ];
+
+/// Rejects a run with files, folders or `stages` that are links out of it: they would be written
+/// through.
+pub(super) fn must_have_own_files(folder: &Path, stages: &[&str]) -> Result<(), Error> {
+    let mut names = WRITTEN.iter().chain(stages);
+    names.try_for_each(|name| must_be_inside(folder, name))
+}
+
+/// Rejects the file or folder `name` of the run in `folder` if it is a link that leads out of the run.
+///
+/// # Errors
+/// [`Error::Usage`] for such a link, and for one that leads nowhere.
+pub fn must_be_inside(folder: &Path, name: &str) -> Result<(), Error> {
+    let path = folder.join(name);
+    match path.is_symlink() && !is_inside(folder, &path).unwrap_or(false) {
+        false => Ok(()),
+        true => Err(Error::usage(
+            format!(
+                "{} is a symbolic link that leads out of the run",
+                path.display()
+            ),
+            "put it into the run's folder itself; the run's whole folder may be a link",
+        )),
+    }
+}
 
 /// Rejects the folder of a new run if it contains files that the run would overwrite.
 pub(super) fn must_be_unused(folder: &Path) -> Result<(), Error> {

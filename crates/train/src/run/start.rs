@@ -8,7 +8,9 @@ use kinegrad_settings::{Refused, require};
 use toml::Table;
 
 use super::context::{Outcome, RunContext};
-use super::folder::{contains_run, exists_already, lock, must_be_a_folder, must_be_unused};
+use super::folder::{
+    contains_run, exists_already, lock, must_be_a_folder, must_be_unused, must_have_own_files,
+};
 use crate::checkpoint::Checkpoints;
 use crate::config::{self, Config, ConfigError, OptimPlace};
 use crate::error::Error;
@@ -253,6 +255,7 @@ fn train_in(
     let (system, recipe) = systems.of(&config)?;
     let name = config.run.name.clone();
     must_be_a_folder(&folder)?;
+    must_have_own_files(&folder, system.stages())?;
     let mut exists = contains_run(&folder)?;
     for stage in system.stages() {
         exists |= contains_run(&folder.join(stage))?;
