@@ -20,7 +20,7 @@ const PARTS: usize = 300;
 /// A curve is noisy, and is smoothed, if the ratio of total variation and range exceeds this value.
 const NOISY: f64 = 5.0;
 
-/// Time constant of smoothing, as a part of the curve.
+/// Time constant of smoothing, as a part of the longest curve.
 const SMOOTHING: f64 = 0.03;
 
 /// Ratio of positive values from which the axis is logarithmic.
@@ -57,13 +57,16 @@ impl Panel {
         let frame = Frame::of(lines.iter().flat_map(|(_, points)| points));
         let mut body = frame.axes(self.x_label);
         let mut legend = String::new();
+        // All curves or none, over equally many points, so that they can be compared.
+        let noisy = lines.iter().any(|(_, points)| is_noisy(points));
+        let longest = lines.iter().map(|(_, points)| points.len()).max();
+        let window = SMOOTHING * longest.unwrap_or(0) as f64;
         for (index, (name, points)) in lines.iter().enumerate() {
             let colour = index % COLOURS;
-            let noisy = is_noisy(points);
             let class = if noisy { "faint" } else { "" };
             body += &frame.curve(&thinned(points), class, colour);
             if noisy {
-                body += &frame.curve(&thinned(&smoothed(points)), "", colour);
+                body += &frame.curve(&thinned(&smoothed(points, window)), "", colour);
             }
             if let [(x, y)] = points[..] {
                 let (x, y) = frame.place(x, y);
@@ -231,9 +234,9 @@ fn is_noisy(points: &[(f64, f64)]) -> bool {
     path.sum::<f64>() > NOISY * (range.end - range.start)
 }
 
-/// An exponential moving average with bias correction.
-fn smoothed(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    let decay = 1.0 - 1.0 / (SMOOTHING * points.len() as f64).max(2.0);
+/// An exponential moving average over `window` points, with bias correction.
+fn smoothed(points: &[(f64, f64)], window: f64) -> Vec<(f64, f64)> {
+    let decay = 1.0 - 1.0 / window.max(2.0);
     let (mut mean, mut weight) = (0.0, 0.0);
     let smooth = points.iter().map(|&(x, y)| {
         mean = decay * mean + (1.0 - decay) * y;
@@ -285,6 +288,21 @@ mod tests {
         assert!(noisy.contains("faint"));
         let schedule = chart((0..100).map(|i| (f64::from(i), f64::from(50 - i).abs()))).html();
         assert_eq!(schedule.matches("<polyline").count(), 1);
+    }
+
+    #[test]
+    fn a_noisy_curve_has_a_smooth_one_beside_it() {
+        let noise = |i: i32| (f64::from(i), f64::from(i * 7919 % 101));
+        let even = |i: i32| (f64::from(i), f64::from(i));
+        let curves = [
+            ("a", (0..100).map(noise).collect()),
+            ("b", (0..40).map(even).collect()),
+        ];
+        let curves = curves.map(|(name, points): (&str, Vec<_>)| (name.to_owned(), points));
+        let both = Panel::lines("loss", "step", curves.into()).html();
+        assert_eq!(both.matches("<polyline").count(), 4);
+        let value = |x: f64, window| smoothed(&[(0.0, 0.0), (1.0, x)], window)[1].1;
+        assert!(value(1.0, 20.0) < value(1.0, 2.0));
     }
 
     #[test]
