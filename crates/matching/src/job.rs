@@ -231,7 +231,17 @@ impl Job {
                 synthesis.rotate_to_smoothest_seam();
             }
             let mut layout = layout.clone();
-            let bvh = self.finished(&mut layout, &mut synthesis.frames, &constraints, usual)?;
+            let mut bvh = self.finished(&mut layout, &mut synthesis.frames, &constraints, usual)?;
+            if is_loop && constraints.is_empty() {
+                // A loop of a motion in place must not travel.
+                let mut frames = synthesis.frames.clone();
+                layout.stay_in_place(&mut frames);
+                let in_place = layout.to_bvh(&frames)?;
+                let toe = |bvh: &Bvh| reference.quality(bvh).motion.toe_speed_while_low;
+                if toe(&in_place) < toe(&bvh) {
+                    (synthesis.frames, bvh) = (frames, in_place);
+                }
+            }
             let seam = by_seam.then(|| Seam::of(&layout, &bvh)).flatten();
             let mut excess = seam.map_or(0.0, |seam| seam.jump() / SMOOTH_SEAM);
             if adapts {
@@ -244,14 +254,15 @@ impl Job {
                 break;
             }
         }
-        let (excess, attempt, layout, synthesis, mut bvh) = best.expect("one motion or more");
+        let (_, attempt, layout, synthesis, mut bvh) = best.expect("one motion or more");
         let jerk = usual.map(|usual| percentile_95(&jerks(&bvh)) / usual.max(f64::MIN_POSITIVE));
         let mut sliding = None;
         // Feet that creep in every attempt are locked if the motion gains by it.
-        let creeps = adapts && excess > 1.0 && constraints.is_empty() && !is_loop;
+        let strict = reference.quality(&bvh).strict_excess();
+        let creeps = adapts && strict > 1.0 && constraints.is_empty() && !is_loop;
         if self.lock_feet || creeps {
             let locked = lock_feet(&layout, &bvh, examples, &parts, &synthesis.origins);
-            let gains = |locked: &Bvh| reference.quality(locked).excess() < excess;
+            let gains = |locked: &Bvh| reference.quality(locked).strict_excess() < strict;
             match locked {
                 Ok((locked, slid)) if self.lock_feet || gains(&locked) => {
                     (bvh, sliding) = (locked, Some(slid));

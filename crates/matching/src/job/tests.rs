@@ -2,6 +2,7 @@
 
 use kinegrad_capture::RootPose;
 use kinegrad_motion::Quaternion;
+use kinegrad_motion::vector::{length, minus};
 
 use super::*;
 use crate::motion_matrix::tests::example;
@@ -271,6 +272,39 @@ fn stepping() -> Example {
 
 /// A body that sways, with feet that swing by an angle in degrees.
 fn swaying(swing: f64) -> Example {
+    let angles =
+        |seconds: f64| [0.0, 3.1].map(|phase| swing * (5.0 * seconds + phase).sin().max(0.0));
+    with_legs("steps.bvh", |seconds| 3.0 * (2.0 * seconds).sin(), angles)
+}
+
+/// A body that bows once, over feet that creep to another place.
+fn bow() -> Example {
+    let mut bow = with_legs("bow.bvh", |seconds| 0.1 * seconds, |_| [0.0; 2]);
+    let spine = "JOINT Spine\n{\nOFFSET 0 20 0\nCHANNELS 3 Xrotation Yrotation Zrotation\nJOINT \
+        Neck\n{\nOFFSET 0 40 0\nCHANNELS 0\nEnd Site\n{\nOFFSET 0 20 0\n}\n}\n}\n";
+    let still = bow.bvh.to_text();
+    let (hierarchy, frames) = still.split_once("MOTION").unwrap();
+    let hierarchy = hierarchy.replacen("JOINT LeftThigh", &format!("{spine}JOINT LeftThigh"), 1);
+    let mut lines = frames.lines();
+    let head: Vec<&str> = lines.by_ref().take(3).collect();
+    let mut text = format!("{hierarchy}MOTION{}\n", head.join("\n"));
+    for (t, line) in lines.enumerate() {
+        let share = ((t as f64 / 30.0 - 0.8) / 1.4).clamp(0.0, 1.0);
+        let angle = 60.0 * (std::f64::consts::PI * share).sin().powi(2);
+        let values: Vec<&str> = line.split_whitespace().collect();
+        let (root, legs) = values.split_at(12);
+        text += &format!("{} {angle} 0 0 {}\n", root.join(" "), legs.join(" "));
+    }
+    bow.bvh = Bvh::parse(text.as_bytes(), "bow.bvh").unwrap();
+    bow
+}
+
+/// Three seconds of a body whose position and angles of both legs, in degrees, depend on the time.
+fn with_legs(
+    file: &str,
+    position: impl Fn(f64) -> f64,
+    angles: impl Fn(f64) -> [f64; 2],
+) -> Example {
     let mut text = crate::motion_matrix::tests::text(1, 1.0 / 30.0);
     text = text.replace("Foot", "Shin").replace("Leg", "Thigh");
     for side in ["Left", "Right"] {
@@ -284,16 +318,15 @@ fn swaying(swing: f64) -> Example {
     text += "Frames: 90\nFrame Time: 0.0333333\n";
     for t in 0..90 {
         let seconds = f64::from(t) / 30.0;
-        let swing = |phase: f64| swing * (5.0 * seconds + phase).sin().max(0.0);
-        text += &format!("0 0 0 0 0 0 {} 90 0 0 0 0", 3.0 * (2.0 * seconds).sin());
-        for phase in [0.0, 3.1] {
-            text += &format!(" {} 0 0 0 0 {}", -swing(phase), swing(phase));
+        text += &format!("0 0 0 0 0 0 {} 90 0 0 0 0", position(seconds));
+        for angle in angles(seconds) {
+            text += &format!(" {} 0 0 0 0 {angle}", -angle);
         }
         text += "\n";
     }
     Example {
-        file: "steps.bvh".to_string(),
-        bvh: Bvh::parse(text.as_bytes(), "steps.bvh").unwrap(),
+        file: file.to_string(),
+        bvh: Bvh::parse(text.as_bytes(), file).unwrap(),
     }
 }
 
@@ -348,6 +381,36 @@ fn feet_that_creep_in_every_attempt_are_locked() {
         assert!(slid.before > 0.1 && slid.after < 1e-3, "{slid:?}");
         let free = Job { seed, ..job() }.make(&[example.clone()]).unwrap();
         assert!(made.quality.excess() < free.quality.excess());
+    }
+}
+
+#[test]
+fn a_loop_of_a_gesture_moves() {
+    for seed in 0..4 {
+        let job = Job {
+            settings: Settings {
+                looping: Looping::Even,
+                ..job().settings
+            },
+            length: Some(Length::Seconds(8.0)),
+            seed,
+            adapts: true,
+            ..job()
+        };
+        let made = job.make(&[bow()]).unwrap();
+        let (motion, examples) = (&made.quality.motion, &made.quality.examples);
+        assert!(
+            motion.fastest_joint > 0.3 * examples.fastest_joint,
+            "{seed}: {motion:?}"
+        );
+        assert!(
+            motion.mean_speed > 0.6 * examples.mean_speed,
+            "{seed}: {motion:?}"
+        );
+        // The creeping of the capture is no reason to travel.
+        let path = made.layout.path(&made.synthesis.frames);
+        let travelled = length(minus(path[path.len() - 1], path[0]));
+        assert!(travelled < 0.1, "{seed}: {travelled}");
     }
 }
 

@@ -19,8 +19,9 @@ const FASTEST: f64 = 1.5;
 const TURN: f64 = 2.0;
 /// Largest excess of the share of still frames.
 const STILLER: f64 = 0.05;
-/// Smallest mean speed, as a part of the examples'.
+/// Smallest mean speed and speed of the fastest joint, as parts of the examples'.
 const SLOWEST: f64 = 0.6;
+const SLOWEST_JOINT: f64 = 0.3;
 /// Toe speed in body heights a second, and degrees of a turn, that are always allowed.
 const HARMLESS_TOE: f64 = 0.005;
 const HARMLESS_TURN: f64 = 10.0;
@@ -233,7 +234,8 @@ impl Quality {
         }
     }
 
-    /// `harmless`: toe speed that is always allowed, in body heights a second.
+    /// The measures that a motion must not exceed. `harmless`: toe speed that is always allowed, in
+    /// body heights a second.
     fn bounded(&self, harmless: f64) -> Vec<Bounded> {
         let (motion, examples) = (&self.motion, &self.examples);
         let bounded = |name, value, example, bound, at| Bounded {
@@ -284,14 +286,39 @@ impl Quality {
         all
     }
 
-    /// The largest measure relative to its bound: at most 1 for a motion within all bounds.
+    /// The speeds that a motion must reach, each with its name and bound.
+    fn least_speeds(&self) -> [(&'static str, f64, f64); 2] {
+        let (motion, examples) = (&self.motion, &self.examples);
+        let mean = SLOWEST * examples.mean_speed;
+        let fastest = SLOWEST_JOINT * examples.fastest_joint;
+        [
+            ("mean speed", motion.mean_speed, mean),
+            ("fastest joint", motion.fastest_joint, fastest),
+        ]
+    }
+
+    /// The largest measure relative to its bound: at most 1 for a motion within all bounds. Speeds
+    /// below their bounds count squared, because a motion that slides is better than one that
+    /// freezes.
     pub fn excess(&self) -> f64 {
+        self.excess_beside(HARMLESS_TOE)
+    }
+
+    /// [`Self::excess`] if no toe speed above the examples' is harmless.
+    pub(crate) fn strict_excess(&self) -> f64 {
+        self.excess_beside(0.0)
+    }
+
+    fn excess_beside(&self, harmless: f64) -> f64 {
         let tiny = 1e-9 * self.height.max(f64::MIN_POSITIVE);
-        let of = |each: &Bounded| each.value / each.bound.max(tiny);
-        let bounded = self.bounded(0.0);
-        let excess = bounded.iter().map(of).fold(0.0, f64::max);
-        let least = SLOWEST * self.examples.mean_speed;
-        excess.max(least / self.motion.mean_speed.max(tiny))
+        let of = |each: Bounded| each.value / each.bound.max(tiny);
+        let bounded = self.bounded(harmless).into_iter();
+        let excess = bounded.map(of).fold(0.0, f64::max);
+        let slower = |(_, speed, least): (_, f64, f64)| (least / speed.max(tiny)).powi(2);
+        self.least_speeds()
+            .map(slower)
+            .into_iter()
+            .fold(excess, f64::max)
     }
 
     /// The measures beyond their bounds, each with its value, that of the examples, the bound, and
@@ -306,18 +333,19 @@ impl Quality {
             )
         };
         let mut all: Vec<String> = beyond.map(text).collect();
-        let (mean, least) = (self.motion.mean_speed, SLOWEST * self.examples.mean_speed);
-        if mean < least {
-            all.push(format!(
-                "mean speed {mean:.3}, at least {least:.3} expected"
-            ));
-        }
+        let slow = self.least_speeds().into_iter();
+        let slow = slow.filter(|(_, speed, least)| speed < least);
+        all.extend(slow.map(|(name, speed, least)| {
+            format!("{name} {speed:.3}, at least {least:.3} expected")
+        }));
         all
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
     use crate::MatrixOptions;
     use crate::motion_matrix::tests::example;
@@ -357,5 +385,57 @@ mod tests {
             beyond.contains("largest turn") && beyond.contains("frame 40"),
             "{beyond}"
         );
+    }
+
+    /// A bow beside a motion of it, in metres: toe speed, jerk, fastest joint and mean speed.
+    fn beside_a_bow([toe, jerk, fastest_joint, mean_speed]: [f64; 4]) -> Quality {
+        let examples = Movement {
+            toe_speed_while_low: Some(0.001),
+            jerk: 14.7,
+            fastest_joint: 1.24,
+            largest_turn: 1.4,
+            mean_speed: 0.073,
+            ..Movement::default()
+        };
+        let motion = Movement {
+            toe_speed_while_low: Some(toe),
+            jerk,
+            fastest_joint,
+            mean_speed,
+            ..examples.clone()
+        };
+        Quality {
+            motion,
+            examples,
+            height: 1.37,
+        }
+    }
+
+    #[test]
+    fn a_frozen_gesture_is_worse_than_one_that_slides_or_shakes() {
+        let harmless = beside_a_bow([0.006, 14.7, 1.24, 0.073]);
+        assert!(harmless.excess() <= 1.0, "{}", harmless.excess());
+        let frozen = beside_a_bow([0.006, 14.7, 0.05, 0.017]);
+        let frozen_in_most_joints = beside_a_bow([0.006, 14.7, 0.05, 0.05]);
+        let shaking = beside_a_bow([0.017, 65.0, 1.69, 0.088]);
+        for frozen in [frozen, frozen_in_most_joints] {
+            let (better, worse) = (shaking.excess(), frozen.excess());
+            assert!(2.0 * better < worse, "{better} {worse}");
+            let warnings = frozen.beyond().join("\n");
+            assert!(
+                warnings.contains("fastest joint 0.050, at least 0.372"),
+                "{warnings}"
+            );
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn motions_beyond_a_bound_have_a_warning(
+            toe in 0.0..0.02f64, jerk in 10.0..30.0f64, fastest in 0.2..2.0f64, mean in 0.03..0.1f64,
+        ) {
+            let quality = beside_a_bow([toe, jerk, fastest, mean]);
+            prop_assert_eq!(quality.excess() > 1.0, !quality.beyond().is_empty());
+        }
     }
 }

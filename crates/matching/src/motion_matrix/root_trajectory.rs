@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 
 use kinegrad_capture::{Axis, Bvh, RootPose, UpAxis};
 use kinegrad_motion::Quaternion;
+use kinegrad_motion::vector::plus;
 
 use super::MotionMatrix;
 use crate::{Frames, places, rotation6d};
@@ -49,6 +50,25 @@ impl MotionMatrix {
         let all: f64 = (0..n).map(|t| f64::from(frames.frame(t)[turn])).sum();
         let share = (all - TAU * (all / TAU).round()) / n as f64;
         (0..n).for_each(|t| frames.frame_mut(t)[turn] -= share as f32);
+    }
+
+    /// Lets a loop end where it starts: its displacement is taken off evenly over the frames.
+    pub(crate) fn stay_in_place(&self, frames: &mut Frames) {
+        let first = self.channels() - 3;
+        let trajectory = self.root_trajectory(frames);
+        let headings = || trajectory.iter().map(|(_, heading)| *heading).enumerate();
+        let mut travelled = [0.0; 3];
+        for (t, heading) in headings() {
+            let step = [0, 1, 2].map(|axis| f64::from(frames.frame(t)[first + axis]));
+            travelled = plus(travelled, self.heading_rotation(heading).rotate(step));
+        }
+        let share = travelled.map(|value| value / trajectory.len() as f64);
+        for (t, heading) in headings() {
+            let step = self.heading_rotation(-heading).rotate(share);
+            for axis in (0..3).filter(|&axis| axis != self.up as usize) {
+                frames.frame_mut(t)[first + axis] -= step[axis] as f32;
+            }
+        }
     }
 
     /// Root position in file units and heading in radians, `[frames]`.

@@ -1,9 +1,12 @@
 //! Lines between keyframes that go around obstacles.
 
+use std::iter::successors;
+
 use pathfinding::directed::astar::astar;
 
 use super::{Goal, GroundTargets, Obstacle};
 use crate::path::Polyline;
+use crate::vector::minus;
 
 /// Most cells along a side of the grid that a detour is searched on.
 const CELLS: f64 = 64.0;
@@ -16,11 +19,16 @@ const CLEARANCE: f64 = 0.1;
 
 type Point = [f64; 2];
 type Cell = [usize; 2];
+/// `[least, greatest]` of x and z, metres.
+type Bounds = [[f64; 2]; 2];
 
 impl Goal {
     /// The trajectory, or the keyframes and the shortest lines between them that keep the goal's
     /// margin and 0.1 m more from the obstacles, at constant speed. Keyframes nearer to an obstacle
     /// reduce the distance. A line is straight if nothing is in its way, or if no detour is found.
+    ///
+    /// Detours are searched on a grid of at most 65 by 65 points around the line and the obstacles
+    /// that it crosses. If there is none, the grid doubles with coarser cells, up to all obstacles.
     pub fn around_obstacles(&self) -> GroundTargets {
         if self.trajectory.is_some() || self.obstacles.is_empty() {
             return self.dense();
@@ -45,30 +53,49 @@ impl Goal {
         let least = ends.min(self.margin + CLEARANCE) - 1e-9;
         let is_free = |a, b| distance(a, b) >= least;
         let path = match least > 0.0 && !is_free(from, to) {
-            true => self.grid(from, to, least).path(least),
+            true => {
+                let mut grids = self
+                    .regions(from, to, least)
+                    .map(|region| self.grid(region, from, to, least));
+                grids.find_map(|grid| grid.path(least))
+            }
             false => None,
         };
-        // Ends in the same cell have no path.
-        let path = path.filter(|path| path.len() > 1);
         let path = path.unwrap_or_else(|| vec![from, to]);
         pulled_tight(&path, &is_free)
     }
 
-    /// The grid around the line and the obstacles nearer to it than `least`.
-    fn grid(&self, from: Point, to: Point, least: f64) -> Grid {
-        let crossed = self.obstacles.iter();
-        let crossed = crossed.filter(|each| each.swept_distance(from, to) < least);
+    /// The regions in which a detour is searched: the line with the obstacles nearer to it than
+    /// `least`, then twice the sides of the region before, until all obstacles are inside.
+    fn regions(&self, from: Point, to: Point, least: f64) -> impl Iterator<Item = Bounds> {
         let line = [0, 1].map(|axis| [from[axis].min(to[axis]), from[axis].max(to[axis])]);
-        let bounds = crossed.map(Obstacle::bounds).fold(line, |all, each| {
+        let with = |region: Bounds, each: &Obstacle| {
+            let bounds = each.bounds();
             [0, 1].map(|axis| {
-                let ([low, high], [lower, higher]) = (all[axis], each[axis]);
+                let ([low, high], [lower, higher]) = (region[axis], bounds[axis]);
                 [low.min(lower), high.max(higher)]
             })
-        });
+        };
+        let crossed = self.obstacles.iter();
+        let crossed = crossed.filter(|each| each.swept_distance(from, to) < least);
+        let first = crossed.fold(line, with);
+        let all = self.obstacles.iter().fold(line, with);
+        successors(Some(first), move |region| {
+            let doubled = [0, 1].map(|axis| {
+                let ([low, high], [least, greatest]) = (region[axis], all[axis]);
+                let more = EDGE.max(0.5 * (high - low));
+                [(low - more).max(least), (high + more).min(greatest)]
+            });
+            (doubled != *region).then_some(doubled)
+        })
+    }
+
+    /// The grid over a region and its edge.
+    fn grid(&self, region: Bounds, from: Point, to: Point, least: f64) -> Grid {
         let edge = least + EDGE;
-        let sides = bounds.map(|[low, high]| high - low + 2.0 * edge);
+        let sides = region.map(|[low, high]| high - low + 2.0 * edge);
         let cell = (sides[0].max(sides[1]) / CELLS).max(SMALLEST_CELL);
-        let origin = bounds.map(|[low, _]| low - edge);
+        let origin = region.map(|[low, _]| low - edge);
         let nearest = |point: Point| {
             [0, 1].map(|axis| ((point[axis] - origin[axis]) / cell).round() as usize)
         };
@@ -123,11 +150,14 @@ impl Grid {
             let [x, z] = [0, 1].map(|axis| to[axis].abs_diff(from[axis]) as f64);
             x.hypot(z)
         };
+        let metres = |from: Cell, to: Cell| {
+            let [x, z] = minus(self.point(to), self.point(from));
+            x.hypot(z)
+        };
         let distance = |cell: Cell| self.distances[cell[0] * self.size[1] + cell[1]];
         let is_free = |from: Cell, to: Cell| {
             // Over an obstacle between them, the distances would be less than the step's length.
-            let step = length(from, to) * self.cell;
-            distance(to) >= least && distance(from) + distance(to) > step
+            distance(to) >= least && distance(from) + distance(to) > metres(from, to)
         };
         let steps = |&from: &Cell| {
             let [rows, columns] = [0, 1].map(|axis| {
@@ -142,7 +172,8 @@ impl Grid {
         };
         let ahead = |&cell: &Cell| (1000.0 * length(cell, end)) as u64;
         let (cells, _) = astar(&start, steps, ahead, |&cell| cell == end)?;
-        Some(cells.into_iter().map(|cell| self.point(cell)).collect())
+        // Ends in the same cell have no path.
+        (cells.len() > 1).then(|| cells.into_iter().map(|cell| self.point(cell)).collect())
     }
 }
 
@@ -212,7 +243,7 @@ mod tests {
             vec![polygon(&wall)],
             vec![polygon(&pocket)],
         ] {
-            let goal = goal([(0, [0.0, 0.0]), (60, [0.0, 4.0])], obstacles);
+            let goal = goal(ENDS, obstacles);
             let line = positions(&goal);
             assert_eq!((line[0], line[60]), ([0.0, 0.0], [0.0, 4.0]));
             let steps: Vec<f64> = line
@@ -230,16 +261,104 @@ mod tests {
         }
     }
 
+    const ENDS: [(usize, Point); 2] = [(0, [0.0, 0.0]), (60, [0.0, 4.0])];
+
+    /// Length of the line of a goal, metres.
+    fn length(goal: &Goal) -> f64 {
+        let line = positions(goal);
+        let steps = line.windows(2);
+        let steps = steps.map(|pair| (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1]));
+        steps.sum()
+    }
+
+    /// Overlapping discs along a line from `from` to `to`.
+    fn wall(from: Point, to: Point) -> impl Iterator<Item = Obstacle> {
+        let [x, z] = minus(to, from);
+        let last = (x.hypot(z) / 0.6).round();
+        let shares = (0..=last as usize).map(move |index| index as f64 / last);
+        shares.map(move |share| disc(from[0] + share * x, from[1] + share * z, 0.4))
+    }
+
+    #[test]
+    fn walls_of_discs_are_rounded() {
+        // Two tangents and an arc at 0.7 m from the last disc's center.
+        let around = |half: f64| {
+            let center = half.hypot(2.0);
+            let turn = (half / center).asin() + (0.7 / center).asin();
+            2.0 * (center.powi(2) - 0.49).sqrt() + 0.7 * 2.0 * turn
+        };
+        for half in [1.2, 2.4, 6.0, 24.0] {
+            let goal = goal(ENDS, wall([-half, 2.0], [half, 2.0]).collect());
+            assert!(goal.feasibility_warnings(1e-3, 12.0).is_empty(), "{half}");
+            let (length, exact) = (length(&goal), around(half));
+            let near = exact - 0.05..1.1 * exact;
+            assert!(near.contains(&length), "{half}: {length} {exact}");
+            for pair in positions(&goal).windows(2) {
+                assert!(goal.clearance(pair[0], pair[1]) > 0.2, "{half}: {pair:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn walls_that_open_towards_an_end_are_left() {
+        for side in [-1.0, 1.0] {
+            // The start or the last keyframe is between the arms.
+            let at = |x: f64, z: f64| [x, 2.0 + side * z];
+            let back = wall(at(-2.4, 0.0), at(2.4, 0.0));
+            let arms = [-2.4, 2.4].map(|x| wall(at(x, 0.0), at(x, 4.2)));
+            let discs = back.chain(arms.into_iter().flatten());
+            let goal = goal(ENDS, discs.collect());
+            assert!(goal.feasibility_warnings(1e-3, 12.0).is_empty(), "{side}");
+            let length = length(&goal);
+            assert!((12.0..18.0).contains(&length), "{side}: {length}");
+        }
+    }
+
+    /// Discs around the point `[0, 4]`.
+    fn ring(discs: u32, radius: f64) -> impl Iterator<Item = Obstacle> {
+        let turn = move |index| std::f64::consts::TAU * f64::from(index) / f64::from(discs);
+        let ring = (0..discs).map(move |index| turn(index).sin_cos());
+        ring.map(move |(x, z)| disc(radius * x, 4.0 + radius * z, 0.5))
+    }
+
+    #[test]
+    fn a_ring_around_a_keyframe_is_crossed_with_a_warning() {
+        // Discs elsewhere do not help.
+        let others = wall([-9.0, -6.0], [90.0, -6.0]);
+        let goal = goal(ENDS, ring(12, 1.5).chain(others).collect());
+        assert!((length(&goal) - 4.0).abs() < 1e-9);
+        let warnings = goal.feasibility_warnings(1e-3, 12.0);
+        assert_eq!(warnings.len(), 1, "{warnings:?}");
+        assert!(
+            warnings[0].starts_with("no line from keyframe[0]"),
+            "{warnings:?}"
+        );
+    }
+
+    #[test]
+    fn four_times_the_obstacles_take_about_four_times_as_long() {
+        for enclosed in [false, true] {
+            let seconds = |discs: usize| {
+                let ring = ring(12, 1.5).filter(|_| enclosed);
+                let half = 0.3 * discs as f64;
+                let goal = goal(ENDS, wall([-half, 2.0], [half, 2.0]).chain(ring).collect());
+                let time = || {
+                    let start = std::time::Instant::now();
+                    assert_eq!(goal.detour(ENDS[0].1, ENDS[1].1).len() > 2, !enclosed);
+                    start.elapsed().as_secs_f64()
+                };
+                (0..5).map(|_| time()).fold(f64::INFINITY, f64::min)
+            };
+            let [few, many] = [40, 160].map(seconds);
+            // Quadratic time would be 16 times as long.
+            assert!(many < 8.0 * few, "{enclosed}: {few} {many}");
+        }
+    }
+
     #[test]
     fn the_way_around_a_disc_is_short() {
-        let goal = goal(
-            [(0, [0.0, 0.0]), (60, [0.0, 4.0])],
-            vec![disc(0.0, 2.0, 0.5)],
-        );
-        let length: f64 = positions(&goal)
-            .windows(2)
-            .map(|pair| (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1]))
-            .sum();
+        let goal = goal(ENDS, vec![disc(0.0, 2.0, 0.5)]);
+        let length = length(&goal);
         // Two tangents and an arc at 0.8 m from the center.
         let exact = 2.0 * (4.0f64 - 0.64).sqrt() + 0.8 * 2.0 * (0.8f64 / 2.0).asin();
         assert!(
@@ -250,10 +369,9 @@ mod tests {
 
     #[test]
     fn a_free_line_and_an_enclosed_target_are_straight() {
-        let ends = [(0, [0.0, 0.0]), (60, [0.0, 4.0])];
-        let straight = goal(ends, Vec::new());
+        let straight = goal(ENDS, Vec::new());
         let same = |obstacles| {
-            let (found, expected) = (positions(&goal(ends, obstacles)), positions(&straight));
+            let (found, expected) = (positions(&goal(ENDS, obstacles)), positions(&straight));
             found
                 .iter()
                 .flatten()
@@ -264,14 +382,7 @@ mod tests {
         // The last keyframe is inside.
         assert!(same(vec![disc(0.0, 4.0, 0.5)]));
         // Between overlapping discs all around.
-        let ring = (0..12).map(|i| {
-            f64::from(i)
-                .mul_add(std::f64::consts::FRAC_PI_6, 0.1)
-                .sin_cos()
-        });
-        assert!(same(
-            ring.map(|(x, z)| disc(1.5 * x, 1.5 * z, 0.5)).collect()
-        ));
+        assert!(same(ring(12, 1.5).collect()));
         assert!(!same(vec![disc(0.0, 2.0, 0.5)]));
     }
 }
