@@ -2,6 +2,7 @@
 
 use kinegrad_capture::{Bvh, UpAxis};
 use kinegrad_motion::MAX_FRAMES;
+use kinegrad_random::{Key, Purpose};
 use kinegrad_settings::{Refused, in_range};
 use serde::{Deserialize, Serialize};
 
@@ -18,7 +19,7 @@ mod adaptation;
 mod conflicts;
 
 pub use adaptation::Adaptation;
-use adaptation::attempts;
+use adaptation::{REPEATS, attempts};
 
 /// Most attempts at a loop with a smooth seam.
 const MAX_LOOPS: usize = 8;
@@ -201,11 +202,12 @@ impl Job {
         let is_loop = self.settings.looping != Looping::Off;
         let is_repeatable = content.is_none() && fixed.is_empty();
         let adapts = self.adapts && is_repeatable;
+        let repeats = adapts && is_loop && constraints.is_empty();
         // A loop with key frames cannot be rotated: the first attempt with a smooth seam is taken.
         let by_seam = is_loop && !constraints.is_empty() && content.is_none();
         let lengths: Vec<usize> = matrices.iter().map(Frames::frames).collect();
         let tried = match (adapts, by_seam) {
-            (true, _) => attempts(&self.settings, &lengths, frames),
+            (true, _) => attempts(&self.settings, &lengths, frames, repeats),
             (false, true) => vec![self.settings.clone(); MAX_LOOPS],
             (false, false) => vec![self.settings.clone()],
         };
@@ -221,6 +223,10 @@ impl Job {
             };
             let mut synthesis = match content {
                 Some(content) => synthesize_like(&request, content)?,
+                None if repeats && REPEATS.contains(&attempt) => {
+                    let key = Key::new(self.seed, Purpose::Matching).at(attempt as u64);
+                    synthesize_like(&request, &repeated(&matrices, frames, key.uniform()))?
+                }
                 None => {
                     let first = request.levels()?.synthesis[0];
                     let noise = start_noise(self.seed, attempt as u64, first, layout.channels());
@@ -273,7 +279,7 @@ impl Job {
         }
         Ok(Made {
             settings: tried[attempt].clone(),
-            adaptation: Adaptation::of(attempt, attempts).filter(|_| adapts),
+            adaptation: Adaptation::of(attempt, attempts, repeats).filter(|_| adapts),
             quality: reference.quality(&bvh),
             bvh,
             synthesis,
@@ -345,6 +351,14 @@ impl Job {
             .hint("a motion has at least one patch, `patch_size`, and at most two hours")?;
         Ok(frames)
     }
+}
+
+/// The examples one after another, again and again, `frames` in all, from a part of them on.
+fn repeated(examples: &[Frames], frames: usize, part: f64) -> Frames {
+    let all = Frames::joined(examples);
+    let first = (part * all.frames() as f64) as usize;
+    let values = (first..first + frames).flat_map(|t| all.frame(t % all.frames()));
+    Frames::new(all.channels(), values.copied().collect())
 }
 
 /// True if the headings of the examples range over more than 120 degrees.

@@ -1,5 +1,7 @@
 //! Settings chosen by what is measured.
 
+use std::ops::Range;
+
 use serde::Serialize;
 
 use crate::Settings;
@@ -15,7 +17,12 @@ const COHERENCES: [Option<f64>; 16] = {
         most,
     ]
 };
-/// Continuity of attempts with a coherence.
+/// Attempts at a loop without constraints that start from the repeated examples, because a coherent
+/// loop from noise freezes in a pose of rest.
+pub(super) const REPEATS: Range<usize> = 4..10;
+/// Coherence of these attempts.
+const REPEATED: f64 = 0.75;
+/// Continuity of attempts with a coherence from noise.
 const CONTINUITY: f64 = 1.0;
 /// Attempts from this one on have longer patches.
 const LONGER: usize = 10;
@@ -35,32 +42,45 @@ pub struct Adaptation {
 }
 
 /// Settings of the attempts at a motion of `frames` frames from examples with `examples` frames.
-pub(super) fn attempts(settings: &Settings, examples: &[usize], frames: usize) -> Vec<Settings> {
+/// `repeats`: some [start from the examples](REPEATS).
+pub(super) fn attempts(
+    settings: &Settings,
+    examples: &[usize],
+    frames: usize,
+    repeats: bool,
+) -> Vec<Settings> {
     let pairs = frames.saturating_mul(examples.iter().sum()).max(1);
     let most = (MOST_PAIRS / pairs).clamp(1, COHERENCES.len());
     let shortest = examples.iter().copied().min().unwrap_or(0).min(frames);
-    let attempt = |(index, coherence): (usize, Option<f64>)| {
-        let mut settings = match coherence {
-            None => settings.clone(),
-            Some(coherence) => settings.clone().with_coherence(coherence).expect("0 to 1"),
-        };
-        if coherence.is_some() {
-            settings.continuity = CONTINUITY;
+    let attempt = |index: usize| {
+        let mut settings = settings.clone();
+        if let Some(coherence) = coherence(index, repeats) {
+            settings = settings.with_coherence(coherence).expect("0 to 1");
+            if !(repeats && REPEATS.contains(&index)) {
+                settings.continuity = CONTINUITY;
+            }
         }
         if index >= LONGER && shortest >= 2 * LONGER_PATCH {
             settings.patch_size = LONGER_PATCH;
         }
         settings
     };
-    let tried = COHERENCES.into_iter().take(most).enumerate();
-    tried.map(attempt).collect()
+    (0..most).map(attempt).collect()
+}
+
+/// The coherence of an attempt; none for that of the job.
+fn coherence(attempt: usize, repeats: bool) -> Option<f64> {
+    match repeats && REPEATS.contains(&attempt) {
+        true => Some(REPEATED),
+        false => COHERENCES[attempt],
+    }
 }
 
 impl Adaptation {
     /// The replacement by attempt `attempt` of `attempts`; none for the first.
-    pub(super) fn of(attempt: usize, attempts: usize) -> Option<Self> {
+    pub(super) fn of(attempt: usize, attempts: usize, repeats: bool) -> Option<Self> {
         (attempt > 0).then(|| Self {
-            coherence: COHERENCES[attempt],
+            coherence: coherence(attempt, repeats),
             attempt,
             attempts,
         })

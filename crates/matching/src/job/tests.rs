@@ -277,9 +277,13 @@ fn swaying(swing: f64) -> Example {
     with_legs("steps.bvh", |seconds| 3.0 * (2.0 * seconds).sin(), angles)
 }
 
-/// A body that bows once, over feet that creep to another place.
+/// A body that bows once, over feet that creep.
 fn bow() -> Example {
-    let mut bow = with_legs("bow.bvh", |seconds| 0.1 * seconds, |_| [0.0; 2]);
+    let mut bow = with_legs(
+        "bow.bvh",
+        |seconds| 0.2 * (2.1 * seconds).sin(),
+        |_| [0.0; 2],
+    );
     let spine = "JOINT Spine\n{\nOFFSET 0 20 0\nCHANNELS 3 Xrotation Yrotation Zrotation\nJOINT \
         Neck\n{\nOFFSET 0 40 0\nCHANNELS 0\nEnd Site\n{\nOFFSET 0 20 0\n}\n}\n}\n";
     let still = bow.bvh.to_text();
@@ -407,6 +411,13 @@ fn a_loop_of_a_gesture_moves() {
             motion.mean_speed > 0.6 * examples.mean_speed,
             "{seed}: {motion:?}"
         );
+        assert!(
+            made.quality.excess() < 2.0,
+            "{seed}: {:?}",
+            made.quality.beyond()
+        );
+        let seam = made.seam(Looping::Even).unwrap();
+        assert!(seam.jump() < 1.0, "{seed}: {seam:?}");
         // The creeping of the capture is no reason to travel.
         let path = made.layout.path(&made.synthesis.frames);
         let travelled = length(minus(path[path.len() - 1], path[0]));
