@@ -65,7 +65,15 @@ fn a_record_says_how_a_sample_was_made_and_makes_it_again() {
         record["checkpoint"].as_str().expect("a path")
     );
     let again = sandbox.run(&again).succeeded();
-    assert_eq!(again.stderr, "");
+    // A model of two steps moves unlike its training phrases.
+    let failed = record["phrase"]["failed"].as_array().expect("a list");
+    let jerk = &record["phrase"]["measures"]["path_jerk"];
+    assert!(jerk["value"].as_f64() > jerk["training"][1].as_f64());
+    let warning = again.stderr.trim_end();
+    let first = failed[0].as_str().expect("a text");
+    let beginning = format!("warning: the sample is out of bounds: {first}; ");
+    assert!(warning.starts_with(&beginning), "{warning}");
+    assert_eq!(warning.lines().count(), 1, "{warning}");
     let [one, other] = ["d.npy", "again.npy"].map(|file| std::fs::read(sandbox.path(file)));
     assert_eq!(one.expect("a file"), other.expect("a file"));
     // Samples at the end of training have records too, which reproduce them.
