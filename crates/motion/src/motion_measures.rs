@@ -252,9 +252,11 @@ impl MotionMeasure {
             Self::StillShare => {
                 let velocity = differences(&motion.vectors(POSITION), FPS);
                 let speeds = velocity.into_iter().map(length).zip(turns(motion));
-                let still =
-                    speeds.map(|(speed, turn)| speed < STILL_SPEED && turn * FPS < STILL_TURN);
-                mean(&still.map(f64::from).collect::<Vec<_>>())
+                let still = speeds.map(|(speed, turn)| match (speed + turn).is_nan() {
+                    true => f64::NAN,
+                    false => f64::from(speed < STILL_SPEED && turn * FPS < STILL_TURN),
+                });
+                mean(&still.collect::<Vec<_>>())
             }
             Self::NetTravel => (frames > 1).then(|| floor_distance(motion, 0, frames - 1)),
             Self::PhaseWraps => (frames > 1).then(|| phase_wraps(motion)),

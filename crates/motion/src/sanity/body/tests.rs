@@ -110,7 +110,7 @@ fn broken_walks_fail_by_name() {
 #[test]
 fn walks_that_are_broken_a_little_fail_by_name() {
     fails("floating", |_, frame| shift(frame, [0.0, 0.16, 0.0]));
-    fails("floor", |_, frame| shift(frame, [0.0, -0.06, 0.0]));
+    fails("floor", |_, frame| shift(frame, [0.0, -0.08, 0.0]));
     // 2 m/s sideways.
     fails("skating", |t, frame| {
         shift(frame, [0.1 * t as f32, 0.0, 0.0])
