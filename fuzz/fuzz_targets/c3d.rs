@@ -17,12 +17,12 @@ fuzz_target!(|bytes: &[u8]| {
     };
     let mut seen = 0;
     for frame in 0..take.frames() {
-        for point in 0..take.points_per_frame() {
+        for point in 0..take.points_per_frame {
             seen += usize::from(take.point(frame, point).is_some());
         }
     }
     assert!(seen <= bytes.len() / 8);
-    assert!(take.labels.len() <= take.points_per_frame());
+    assert!(take.labels.len() <= take.points_per_frame);
     if let Ok(root) = bounded(limit, || MarkerMap::default().root(&take)) {
         assert_eq!(root.frames(), take.frames());
         for frame in 0..root.frames() {
