@@ -31,6 +31,13 @@ class Ranks(unittest.TestCase):
         self.folder = Folder()
         self.addCleanup(self.folder.remove)
 
+    def shim(self, name):
+        """A library for LD_PRELOAD, built from the source of that name."""
+        library = self.folder.path / f"{name}.so"
+        source = ROOT / f"tests/ranks/{name}.c"
+        subprocess.run(["cc", "-shared", "-fPIC", "-fno-builtin", source, "-o", library, "-ldl"], check=True)
+        return library
+
     def equal_on(self, line, ranks, reference):
         for count in ranks:
             name = f"on{count}"
@@ -200,9 +207,7 @@ class Ranks(unittest.TestCase):
         self.assertEqual(self.folder.hashes("skips4"), self.folder.hashes("skips1"))
 
     def test_what_is_no_number_on_one_rank_ends_all(self):
-        shim = self.folder.path / "not_a_number.so"
-        source = ROOT / "tests/ranks/not_a_number.c"
-        subprocess.run(["cc", "-shared", "-fPIC", "-fno-builtin", source, "-o", shim, "-ldl"], check=True)
+        shim = self.shim("not_a_number")
         flag = self.folder.path / "break"
         line = f"{PHRASES} --set train.max_steps=4000 --set validation.every_steps=0 --name broken"
         job = self.folder.start_apart(line, line, LD_PRELOAD=shim, BREAK=flag)
@@ -224,10 +229,8 @@ class Ranks(unittest.TestCase):
     def test_a_full_disk_of_the_first_rank_ends_all(self):
         line = f"{PHRASES} --name full"
         self.folder.run(2, f"{line} --set train.max_steps=4")
-        log = self.folder.path / "runs/full/metrics.jsonl"
-        log.unlink()
-        log.symlink_to("/dev/full")
-        code, said = self.folder.fails(2, f"{line} --resume --set train.max_steps=400")
+        full = {"LD_PRELOAD": self.shim("full_disk"), "FULL_FILE": "metrics.jsonl"}
+        code, said = self.folder.fails(2, f"{line} --resume --set train.max_steps=400", **full)
         self.assertEqual(said.count("error:"), 1, said)
         self.assertIn("metrics.jsonl", said)
         self.assertEqual(code, 1, said)
@@ -248,10 +251,8 @@ class Ranks(unittest.TestCase):
             "--set sampling.preview_every_steps=4"
         )
         self.folder.run(2, f"{line} --set train.max_steps=2")
-        log = self.folder.path / "runs/seen/events.out.tfevents.kinegrad"
-        log.unlink()
-        log.symlink_to("/dev/full")
-        code, said = self.folder.fails(2, f"{line} --resume --set train.max_steps=12")
+        full = {"LD_PRELOAD": self.shim("full_disk"), "FULL_FILE": "events.out.tfevents"}
+        code, said = self.folder.fails(2, f"{line} --resume --set train.max_steps=12", **full)
         self.assertEqual((code, said.count("error:")), (1, 1), said)
         self.assertIn("events.out.tfevents", said)
 
