@@ -17,7 +17,8 @@ const AFTER: Duration = Duration::from_secs(1);
 /// Bytes of the end of the program's messages that are kept.
 const MOST_MESSAGES: usize = 1 << 16;
 
-/// A running program. Threads write to it and read its messages, so that it blocks nobody.
+/// A running program. Its input and its messages have threads, so a program that stops reading or
+/// writing does not block the caller.
 #[derive(Debug)]
 pub struct Encoder {
     child: Child,

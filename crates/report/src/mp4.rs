@@ -138,7 +138,7 @@ fn encode(
     })
 }
 
-/// True for a file with content, which is no link.
+/// True for a regular file that is not empty.
 fn is_written(film: &Path) -> bool {
     std::fs::symlink_metadata(film).is_ok_and(|film| film.is_file() && film.len() > 0)
 }

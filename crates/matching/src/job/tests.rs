@@ -418,7 +418,7 @@ fn a_loop_of_a_gesture_moves() {
         );
         let seam = made.seam(Looping::Even).unwrap();
         assert!(seam.jump() < 1.0, "{seed}: {seam:?}");
-        // The creeping of the capture is no reason to travel.
+        // The feet of the capture creep; the loop stays in its place.
         let path = made.layout.path(&made.synthesis.frames);
         let travelled = length(minus(path[path.len() - 1], path[0]));
         assert!(travelled < 0.1, "{seed}: {travelled}");
