@@ -194,13 +194,7 @@ impl SceneObject {
 
     /// The children of each joint.
     pub(crate) fn children(&self) -> Vec<Vec<usize>> {
-        let mut children = vec![Vec::new(); self.joints()];
-        for (child, parent) in self.parents.iter().enumerate() {
-            if let Some(parent) = *parent {
-                children[parent].push(child);
-            }
-        }
-        children
+        children_of(self.parents.iter().copied())
     }
 
     /// Position of a joint in a frame.
@@ -241,6 +235,19 @@ pub(crate) enum Side {
     Left,
     Right,
     Middle,
+}
+
+/// The children of each of the nodes with these parents.
+pub(crate) fn children_of(
+    parents: impl ExactSizeIterator<Item = Option<usize>>,
+) -> Vec<Vec<usize>> {
+    let mut children = vec![Vec::new(); parents.len()];
+    for (child, parent) in parents.enumerate() {
+        if let Some(parent) = parent {
+            children[parent].push(child);
+        }
+    }
+    children
 }
 
 impl SceneObject {

@@ -12,7 +12,7 @@ use kinegrad_motion::metrics::BodyQuality;
 use kinegrad_motion::path::{ArcLengthMode, PathPlan, PathReport, Warp};
 use kinegrad_output::path_text;
 use kinegrad_report::table;
-use kinegrad_train::sampling::BodyRecord;
+use kinegrad_train::sampling::MeasuresRecord;
 use kinegrad_train::{Error, Systems};
 use serde::Serialize;
 
@@ -56,7 +56,7 @@ struct Record {
     before: BodyQuality,
     after: PathReport,
     /// The moved body beside captured people.
-    body: BodyRecord,
+    body: MeasuresRecord,
 }
 
 /// Locked feet.
@@ -141,7 +141,7 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         speed_ratio: warped.speed_ratio,
         before: BodyQuality::of(&own, &skeleton, floor),
         after: PathReport::of(&moved, &skeleton, &path, &warped.course, floor)?,
-        body: BodyRecord::of(&moved, &skeleton, &Statistics::default()),
+        body: MeasuresRecord::of(&moved, &skeleton, &Statistics::default()),
         path_content: plan,
     };
     for path in &outputs {

@@ -29,7 +29,7 @@ use std::path::Path;
 use serde_json::json;
 
 use crate::export::{self, ExportError};
-use crate::scene::{Scene, SceneObject};
+use crate::scene::{Scene, SceneObject, children_of};
 use document::{Document, push};
 use mesh::Mesh;
 use rig::Rig;
@@ -70,12 +70,7 @@ fn add(document: &mut Document, object: &SceneObject, place: [f32; 3]) {
         json!({ "name": object.name, "translation": place, "children": [first] }),
     );
     document.roots.push(holder);
-    let mut children = vec![Vec::new(); rig.nodes.len()];
-    for (child, node) in rig.nodes.iter().enumerate() {
-        if let Some(parent) = node.parent {
-            children[parent].push(first + child);
-        }
-    }
+    let children = children_of(rig.nodes.iter().map(|node| node.parent));
     for (joint, children) in rig.nodes.iter().zip(children) {
         let mut node = json!({
             "name": joint.name,
@@ -83,7 +78,8 @@ fn add(document: &mut Document, object: &SceneObject, place: [f32; 3]) {
             "rotation": joint.rest.1.to_gltf(),
         });
         if !children.is_empty() {
-            node["children"] = json!(children);
+            let children = children.into_iter().map(|child| first + child);
+            node["children"] = children.collect();
         }
         document.nodes.push(node);
     }

@@ -2,6 +2,7 @@
 //!
 //! Like training phrases, the path is moved to the origin in each window, and not turned.
 
+use std::ops::Range;
 use std::path::PathBuf;
 
 use kinegrad_motion::path::{PathPlan, PathReport};
@@ -151,32 +152,24 @@ impl PhrasePath {
         let mut step = vec![0.0; noisy.len()];
         let all = channels_of(&self.points);
         for window in 0..windows.len() {
-            let frames = windows.of(window);
-            let origin = self.points[frames.start];
-            for (t, point) in self.points[frames.clone()].iter().enumerate() {
-                let value = |channel: usize| {
-                    let at = (window * channels + channel) * length + t;
-                    f64::from(noisy[at]) * statistics.std[channel] + statistics.mean[channel]
-                };
-                let away = [0, 1].map(|i| {
-                    let place = value(POSITION.start + GROUND[i]);
-                    place - (point[i] - origin[i])
-                });
-                let distance = away[0].hypot(away[1]);
+            let targets = of_window(&all, windows.of(window));
+            let at = |channel: usize, t: usize| (window * channels + channel) * length + t;
+            let away = |channel: usize, target: f64, t: usize| {
+                let value = f64::from(noisy[at(channel, t)]) * statistics.std[channel];
+                value + statistics.mean[channel] - target
+            };
+            for t in 0..length {
+                let metres = targets
+                    .iter()
+                    .filter(|(channel, _)| POSITION.contains(channel));
+                let metres = metres.map(|(channel, values)| away(*channel, values[t], t));
+                let distance = metres.fold(0.0, f64::hypot);
                 let over = (distance - self.config.tolerance).max(0.0);
                 let share = if distance > 0.0 { over / distance } else { 0.0 };
-                for (channel, values) in &all {
-                    let channel = *channel;
-                    let target = match GROUND
-                        .iter()
-                        .position(|axis| POSITION.start + axis == channel)
-                    {
-                        Some(i) => values[frames.start + t] - origin[i],
-                        None => values[frames.start + t],
-                    };
-                    let off = (value(channel) - target) / statistics.std[channel];
-                    let at = (window * channels + channel) * length + t;
-                    step[at] = (self.config.guidance_step_size * 2.0 * share * off) as f32;
+                for (channel, values) in &targets {
+                    let off = away(*channel, values[t], t) / statistics.std[*channel];
+                    let size = self.config.guidance_step_size * 2.0 * share * off;
+                    step[at(*channel, t)] = size as f32;
                 }
             }
         }
@@ -199,18 +192,11 @@ impl PhrasePath {
         let channels = predicted.len() / (windows.len() * length);
         let all = channels_of(&self.points);
         for window in 0..windows.len() {
-            let frames = windows.of(window);
-            for (channel, values) in &all {
-                let (channel, values) = (*channel, &values[frames.clone()]);
-                // Positions are relative to the window's start.
-                let origin = match POSITION.contains(&channel) {
-                    true => values[0],
-                    false => 0.0,
-                };
+            for (channel, values) in of_window(&all, windows.of(window)) {
                 let (mean, std) = (statistics.mean[channel], statistics.std[channel]);
                 let first = (window * channels + channel) * length;
-                for (t, value) in values.iter().enumerate() {
-                    predicted[first + t] = ((value - origin - mean) / std) as f32;
+                for (t, value) in values.into_iter().enumerate() {
+                    predicted[first + t] = ((value - mean) / std) as f32;
                 }
             }
         }
@@ -256,6 +242,22 @@ fn channels_of(points: &[[f64; 2]]) -> Vec<(usize, Vec<f64>)> {
         ]
     };
     GROUND.into_iter().enumerate().flat_map(of_axis).collect()
+}
+
+/// The channels in the frames of a window, with positions relative to the window's start.
+fn of_window(all: &[(usize, Vec<f64>)], frames: Range<usize>) -> Vec<(usize, Vec<f64>)> {
+    let of_channel = |(channel, values): &(usize, Vec<f64>)| {
+        let values = &values[frames.clone()];
+        let origin = match POSITION.contains(channel) {
+            true => values[0],
+            false => 0.0,
+        };
+        (
+            *channel,
+            values.iter().map(|value| value - origin).collect(),
+        )
+    };
+    all.iter().map(of_channel).collect()
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use kinegrad_data::humanml::Clip;
 use kinegrad_motion::path::PathReport;
 
 use super::{
-    BodyRecord, Condition, Generated, Names, PathRecord, Record, Request, Sample, SampleSink,
+    Condition, Generated, MeasuresRecord, Names, PathRecord, Record, Request, Sample, SampleSink,
     Summary, item_seed,
 };
 use crate::TrainedModel;
@@ -103,7 +103,7 @@ pub struct Run<'a> {
     /// Distances from paths, one line per sample.
     pub(crate) paths: Vec<String>,
     /// The measures of the bodies among the samples.
-    pub(crate) bodies: Vec<BodyRecord>,
+    pub(crate) bodies: Vec<MeasuresRecord>,
 }
 
 impl Run<'_> {
@@ -165,9 +165,9 @@ impl Run<'_> {
         match &generated {
             Generated::Clip {
                 joints, skeleton, ..
-            } => record.body = Some(BodyRecord::of(joints, skeleton, statistics)),
+            } => record.body = Some(MeasuresRecord::of(joints, skeleton, statistics)),
             Generated::Phrase { motion, .. } => {
-                record.phrase = Some(BodyRecord::of_phrase(motion, statistics));
+                record.phrase = Some(MeasuresRecord::of_phrase(motion, statistics));
             }
             _ => {}
         }

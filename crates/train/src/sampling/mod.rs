@@ -4,12 +4,12 @@
 //! [`Sampler`]. [`Systems::sample`](crate::system::Systems::sample) rejects conditions that the
 //! recipe does not accept, checks memory, and names and records the samples.
 
-mod body;
 mod condition;
 mod generated;
 mod ground;
 mod job;
 mod known_frames;
+mod measures;
 mod names;
 mod record;
 mod request;
@@ -17,7 +17,6 @@ mod seed;
 mod sink;
 mod style;
 
-pub use body::{BodyRecord, MeasureRecord};
 pub use condition::{
     Condition, GoalCondition, KnownFramesCondition, OtherCondition, PathFile, TrajectoryCondition,
 };
@@ -25,6 +24,7 @@ pub use generated::Generated;
 pub use ground::GroundRecord;
 pub use job::{Job, Needs, Run, Sampler};
 pub use known_frames::KnownFrames;
+pub use measures::{MeasureRecord, MeasuresRecord};
 pub use names::Names;
 pub use record::{
     BatchRecord, CompositionRecord, GoalRecord, PathRecord, PromptRecord, Record, RolloutRecord,

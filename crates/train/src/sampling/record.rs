@@ -9,7 +9,7 @@ use kinegrad_output::path_text;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::{BodyRecord, Condition, GroundRecord, condition};
+use super::{Condition, GroundRecord, MeasuresRecord, condition};
 use crate::TrainedModel;
 use crate::checkpoint::Weights;
 use crate::config::ClipSample;
@@ -63,10 +63,10 @@ pub struct Record {
     pub ground: Option<GroundRecord>,
     /// The measures of the body, for models of clips.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub body: Option<BodyRecord>,
+    pub body: Option<MeasuresRecord>,
     /// The measures of the phrase; `None` for other motion.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub phrase: Option<BodyRecord>,
+    pub phrase: Option<MeasuresRecord>,
     /// The conditions, a map by name; empty for an unconditional sample.
     #[serde(with = "condition::as_map")]
     pub condition: Vec<Condition>,

@@ -6,7 +6,7 @@ use super::{System, Systems};
 use crate::TrainedModel;
 use crate::error::Error;
 use crate::memory::must_fit;
-use crate::sampling::{BodyRecord, Job, Names, Request, Run, SampleSink, Sampler, Summary};
+use crate::sampling::{Job, MeasuresRecord, Names, Request, Run, SampleSink, Sampler, Summary};
 
 impl Systems<'_> {
     /// Generates motion with the model `trained` and passes each sample, with its
@@ -46,7 +46,7 @@ impl Systems<'_> {
             bodies: Vec::new(),
         };
         let summary = sampler.sample(&mut run)?;
-        if let Some(line) = BodyRecord::line(&run.bodies) {
+        if let Some(line) = MeasuresRecord::line(&run.bodies) {
             run.sink
                 .note(&format!("{}: {line}", counted(run.bodies.len(), "sample")));
         }

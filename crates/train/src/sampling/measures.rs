@@ -26,7 +26,7 @@ const LINE: [(BodyMeasure, &str, usize); 9] = [
 
 /// The measures of a sampled body or phrase.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct BodyRecord {
+pub struct MeasuresRecord {
     /// Each [`BodyMeasure`] or, of a phrase, [`MotionMeasure`] by its name.
     pub measures: BTreeMap<String, MeasureRecord>,
     /// The checks that fail, with frame and joint of an extreme.
@@ -53,7 +53,7 @@ pub struct MeasureRecord {
     pub training: Option<[f64; 2]>,
 }
 
-impl BodyRecord {
+impl MeasuresRecord {
     /// Measures `joints`; `training` are the statistics of the run.
     pub fn of(joints: &Joints, skeleton: &Skeleton, training: &Statistics) -> Self {
         let description = skeleton.description();
