@@ -53,13 +53,14 @@ impl HttpService for Bounded {
         let (parts, body) = self.client.execute(request).await?.into_parts();
         let stated = parts.headers.get("content-length");
         let stated = stated.and_then(|length| length.to_str().ok()?.parse().ok());
+        let is_success = parts.status.is_success();
         let limit: u64 = match stated {
-            _ if !parts.status.is_success() => LARGEST_REFUSAL,
+            _ if !is_success => LARGEST_REFUSAL,
             Some(length) if is_object => length,
             _ => LARGEST_PAGE,
         };
         let limited = Limited::new(body, usize::try_from(limit).unwrap_or(usize::MAX));
-        let limited = limited.map_err(move |error| too_long(error, limit));
+        let limited = limited.map_err(move |error| too_long(error, limit, is_success));
         let (patience, began, mut received) = (self.patience, Instant::now(), 0.0);
         let paced = BodyStream::new(limited).map(move |frame| {
             let frame = frame?;
@@ -74,12 +75,20 @@ impl HttpService for Bounded {
     }
 }
 
-/// The error of a body: its own, or that of its length.
-fn too_long(error: Box<dyn Error + Send + Sync>, limit: u64) -> HttpError {
+/// A response longer than it states or than any that `object_store` can use.
+#[derive(Debug, thiserror::Error)]
+#[error("more than {limit} bytes came")]
+pub(super) struct TooLong {
+    limit: u64,
+}
+
+/// The error of a body: its own, or that of its length. A long refusal is no more than a refusal.
+fn too_long(error: Box<dyn Error + Send + Sync>, limit: u64, is_success: bool) -> HttpError {
     match error.downcast::<HttpError>() {
         Ok(error) => *error,
+        Err(_) if is_success => HttpError::new(HttpErrorKind::Decode, TooLong { limit }),
         Err(_) => {
-            let reason = format!("more than {limit} bytes came");
+            let reason = format!("a refusal of more than {limit} bytes came");
             HttpError::new_boxed(HttpErrorKind::Decode, reason.into())
         }
     }

@@ -41,6 +41,15 @@ pub enum StoreError {
         /// The last reason.
         reason: String,
     },
+    /// The store's response contradicts itself or has no end.
+    #[error("{object}: the store's response is unusable: {reason}")]
+    #[diagnostic(help("check the address and data.store.endpoint; is this the intended server?"))]
+    Unusable {
+        /// The object.
+        object: String,
+        /// What is wrong with the response.
+        reason: String,
+    },
     /// The bytes differ from the checksum in the manifest or at the start of the run.
     #[error(
         "{object}: its contents are not those {recorded}: sha256 {found} found, {expected} expected"
@@ -106,7 +115,11 @@ impl StoreError {
     pub fn concerns_one_object(&self) -> bool {
         matches!(
             self,
-            Self::Missing(_) | Self::TooLarge { .. } | Self::Outside { .. } | Self::Path { .. }
+            Self::Missing(_)
+                | Self::TooLarge { .. }
+                | Self::Unusable { .. }
+                | Self::Outside { .. }
+                | Self::Path { .. }
         )
     }
 }

@@ -15,7 +15,7 @@ use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload};
 use tokio::runtime::Runtime;
 use tokio::sync::Semaphore;
 
-use super::bounded::{LARGEST_REFUSAL, SLOWEST};
+use super::bounded::{LARGEST_REFUSAL, SLOWEST, TooLong};
 use super::{Backend, Object, StoreError, services};
 use crate::layout::check_path;
 use crate::location::Service;
@@ -260,18 +260,43 @@ impl Backend for Remote {
         let (object, key) = self.key(folder)?;
         self.try_often(&object, "list", || async {
             let mut listing = self.store.list(Some(&key));
-            let (mut objects, mut count) = (Vec::new(), 0);
+            let (mut objects, mut order) = (Vec::new(), Order::default());
             while let Some(meta) = self.within(PAGE, listing.try_next()).await? {
-                count += 1;
-                if count > MOST_LISTED {
-                    let reason = format!("more than {MOST_LISTED} objects are listed");
-                    let error = failed(&object, "list", 1, reason);
-                    return Err(Failure::Final(error));
-                }
+                order.next(&meta.location).map_err(|reason| {
+                    let object = object.clone();
+                    Failure::Final(StoreError::Unusable { object, reason })
+                })?;
                 objects.extend(self.listed(&meta, folder, file));
             }
             Ok(objects)
         })
+    }
+}
+
+/// Objects of a listing so far.
+#[derive(Default)]
+struct Order {
+    count: usize,
+    /// The object whose number was the last power of two: a listing that repeats itself meets it
+    /// again (Brent's detection of cycles).
+    mark: Path,
+}
+
+impl Order {
+    /// Counts an object. Fails with a reason for the object after [`MOST_LISTED`] and for a
+    /// listing that repeats itself.
+    fn next(&mut self, object: &Path) -> Result<(), String> {
+        self.count += 1;
+        if self.count > MOST_LISTED {
+            return Err(format!("more than {MOST_LISTED} objects are listed"));
+        }
+        if self.count > 1 && self.mark == *object {
+            return Err(format!("{object} is listed twice"));
+        }
+        if self.count.is_power_of_two() {
+            self.mark = object.clone();
+        }
+        Ok(())
     }
 }
 
@@ -334,6 +359,11 @@ fn is_refused(reason: &str) -> bool {
     status.starts_with('4') && !patience.iter().any(|known| status.starts_with(known))
 }
 
+/// True if a response was longer than it states.
+fn is_too_long(error: &(dyn std::error::Error + 'static)) -> bool {
+    std::iter::successors(Some(error), |error| error.source()).any(|error| error.is::<TooLong>())
+}
+
 /// The error, if it is permanent.
 fn final_error(
     error: &object_store::Error,
@@ -341,6 +371,10 @@ fn final_error(
     action: &'static str,
 ) -> Option<StoreError> {
     let reason = in_short(error);
+    if is_too_long(error) {
+        let object = object.to_owned();
+        return Some(StoreError::Unusable { object, reason });
+    }
     if matches!(error, object_store::Error::Generic { .. }) && is_refused(&reason) {
         return Some(failed(object, action, 1, reason));
     }
@@ -372,5 +406,37 @@ fn in_short(error: &(dyn std::error::Error + 'static)) -> String {
     match line.char_indices().nth(400) {
         Some((end, _)) => format!("{}...", &line[..end]),
         None => line,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn first_error(names: impl IntoIterator<Item = usize>) -> Option<(usize, String)> {
+        let mut order = Order::default();
+        names.into_iter().enumerate().find_map(|(place, name)| {
+            let key = Path::from(format!("motion/{name}/trajectory.npy"));
+            Some((place, order.next(&key).err()?))
+        })
+    }
+
+    #[test]
+    fn listings_that_repeat_themselves_end() {
+        // Pages of a thousand, repeated at once and after other pages.
+        for (before, page) in [(0, 1), (0, 1000), (1, 1000), (2500, 1000), (3, 7)] {
+            let repeated = (0..before).chain((0..).map(|place| before + place % page));
+            let (place, reason) = first_error(repeated).expect("an error");
+            assert!(reason.ends_with("is listed twice"), "{reason}");
+            assert!(place <= 4 * (before + page), "{before}, {page}: {place}");
+        }
+    }
+
+    #[test]
+    fn long_listings_end_and_others_are_read() {
+        assert_eq!(first_error(0..MOST_LISTED), None);
+        let (place, reason) = first_error(0..).expect("an error");
+        assert_eq!(place, MOST_LISTED);
+        assert_eq!(reason, "more than 1000000 objects are listed");
     }
 }
