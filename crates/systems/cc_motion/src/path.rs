@@ -23,8 +23,9 @@ use serde_json::to_value;
 pub struct PhrasePathConfig {
     /// The method that keeps the root on the path during sampling.
     pub method: PhrasePathMethod,
-    /// For `guidance`: length of a step against the gradient of the squared distance of ground
-    /// position, velocity and acceleration from those of the path, in standard deviations.
+    /// For `guidance`: length of a step against the gradient of the squared distance of the
+    /// predicted clean motion's ground position, velocity and acceleration from those of the path;
+    /// 0.5 reaches the path.
     pub guidance_step_size: f64,
     /// For `guidance`: largest distance from the path without a loss, in meters.
     pub tolerance: f64,
@@ -52,7 +53,7 @@ pub enum PhrasePathMethod {
     /// step (option B).
     #[default]
     Override,
-    /// Moves the noisy motion against the distance's gradient at each step (option D).
+    /// Moves the predicted clean motion against the distance's gradient at each step (option D).
     Guidance,
 }
 
@@ -131,72 +132,52 @@ impl PhrasePath {
         }
     }
 
-    fn acts(&self, method: PhrasePathMethod, timestep: usize) -> bool {
-        self.config.method == method && timestep >= self.config.stop_timestep
-    }
-
-    /// The guidance step of normalized noisy windows, `[windows, channels, frames of a window]`;
-    /// `None` without guidance at this timestep.
-    pub fn step(
-        &self,
-        noisy: &[f32],
-        windows: &Windows,
-        statistics: &Statistics,
-        timestep: usize,
-    ) -> Option<Vec<f32>> {
-        if !self.acts(PhrasePathMethod::Guidance, timestep) {
-            return None;
-        }
-        let length = windows.length();
-        let channels = noisy.len() / (windows.len() * length);
-        let mut step = vec![0.0; noisy.len()];
-        let all = channels_of(&self.points);
-        for window in 0..windows.len() {
-            let targets = of_window(&all, windows.of(window));
-            let at = |channel: usize, t: usize| (window * channels + channel) * length + t;
-            let away = |channel: usize, target: f64, t: usize| {
-                let value = f64::from(noisy[at(channel, t)]) * statistics.std[channel];
-                value + statistics.mean[channel] - target
-            };
-            for t in 0..length {
-                let metres = targets
-                    .iter()
-                    .filter(|(channel, _)| POSITION.contains(channel));
-                let metres = metres.map(|(channel, values)| away(*channel, values[t], t));
-                let distance = metres.fold(0.0, f64::hypot);
-                let over = (distance - self.config.tolerance).max(0.0);
-                let share = if distance > 0.0 { over / distance } else { 0.0 };
-                for (channel, values) in &targets {
-                    let off = away(*channel, values[t], t) / statistics.std[*channel];
-                    let size = self.config.guidance_step_size * 2.0 * share * off;
-                    step[at(*channel, t)] = size as f32;
-                }
-            }
-        }
-        Some(step)
-    }
-
-    /// Applies `override` to normalized predicted clean windows, `[windows, channels, frames of a
-    /// window]`.
-    pub fn put(
+    /// Moves normalized predicted clean windows, `[windows, channels, frames of a window]`, onto
+    /// the path with `override`, and a step towards it with `guidance`.
+    pub fn lead(
         &self,
         predicted: &mut [f32],
         windows: &Windows,
         statistics: &Statistics,
         timestep: usize,
     ) {
-        if !self.acts(PhrasePathMethod::Override, timestep) {
+        if timestep < self.config.stop_timestep {
             return;
         }
         let length = windows.length();
         let channels = predicted.len() / (windows.len() * length);
         let all = channels_of(&self.points);
         for window in 0..windows.len() {
-            for (channel, values) in of_window(&all, windows.of(window)) {
-                let (mean, std) = (statistics.mean[channel], statistics.std[channel]);
-                let first = (window * channels + channel) * length;
-                for (t, value) in values.into_iter().enumerate() {
-                    predicted[first + t] = ((value - mean) / std) as f32;
+            let targets = of_window(&all, windows.of(window));
+            let at = |channel: usize, t: usize| (window * channels + channel) * length + t;
+            for t in 0..length {
+                let metres = targets.iter().map(|(channel, values)| {
+                    let value = f64::from(predicted[at(*channel, t)]) * statistics.std[*channel];
+                    (*channel, value + statistics.mean[*channel] - values[t])
+                });
+                let metres = metres.filter(|(channel, _)| POSITION.contains(channel));
+                let share = self.share(metres.fold(0.0, |sum: f64, (_, away)| sum.hypot(away)));
+                for (channel, values) in &targets {
+                    let target = (values[t] - statistics.mean[*channel]) / statistics.std[*channel];
+                    let value = &mut predicted[at(*channel, t)];
+                    *value = ((1.0 - share) * f64::from(*value) + share * target) as f32;
+                }
+            }
+        }
+    }
+
+    /// The share of the distance to the path, in metres, by which a prediction moves.
+    fn share(&self, distance: f64) -> f64 {
+        match self.config.method {
+            PhrasePathMethod::Override => 1.0,
+            PhrasePathMethod::Guidance => {
+                let over = (distance - self.config.tolerance).max(0.0);
+                // The gradient of a square is twice the distance; a longer step would overshoot.
+                let step = 2.0 * self.config.guidance_step_size * over;
+                if over > 0.0 {
+                    (step / distance).min(1.0)
+                } else {
+                    0.0
                 }
             }
         }
@@ -287,12 +268,12 @@ mod tests {
         let (windows, statistics) = (Windows::new(90, 60), statistics());
         let path = path(PhrasePathMethod::Override, 90);
         let mut values = vec![7.0f32; windows.len() * CHANNELS * 60];
-        path.put(&mut values, &windows, &statistics, 9);
+        path.lead(&mut values, &windows, &statistics, 9);
         assert!(
             values.iter().all(|value| *value == 7.0),
             "below `stop_timestep`"
         );
-        path.put(&mut values, &windows, &statistics, 10);
+        path.lead(&mut values, &windows, &statistics, 10);
         for window in values.chunks(CHANNELS * 60) {
             let channel = |c: usize, t: usize| {
                 f64::from(window[c * 60 + t]) * statistics.std[c] + statistics.mean[c]
@@ -308,33 +289,39 @@ mod tests {
     }
 
     #[test]
-    fn steps_lead_nearer_to_the_path_and_nothing_else_moves() {
+    fn guidance_leads_nearer_to_the_path_and_nothing_else_moves() {
         let (windows, statistics) = (Windows::new(40, 40), statistics());
-        let path = path(PhrasePathMethod::Guidance, 40);
-        let noisy = vec![1.5f32; CHANNELS * 40];
-        assert!(path.step(&noisy, &windows, &statistics, 9).is_none());
-        let step = path.step(&noisy, &windows, &statistics, 500).unwrap();
+        let mut path = path(PhrasePathMethod::Guidance, 40);
+        let predicted = vec![1.5f32; CHANNELS * 40];
+        let led = |path: &PhrasePath, timestep: usize| {
+            let mut values = predicted.clone();
+            path.lead(&mut values, &windows, &statistics, timestep);
+            values
+        };
+        assert_eq!(led(&path, 9), predicted, "below `stop_timestep`");
         let away = |values: &[f32]| -> f64 {
             let place =
                 |c: usize, t: usize| f64::from(values[c * 40 + t]) * 0.5 + statistics.mean[c];
-            (0..40)
-                .map(|t| {
-                    let (x, z) = (0.01 * t as f64, -0.02 * t as f64);
-                    (place(0, t) - x).hypot(place(2, t) - z)
-                })
-                .sum()
+            let distances = (0..40).map(|t| {
+                let (x, z) = (0.01 * t as f64, -0.02 * t as f64);
+                (place(0, t) - x).hypot(place(2, t) - z)
+            });
+            distances.sum()
         };
-        let moved: Vec<f32> = noisy.iter().zip(&step).map(|(x, step)| x - step).collect();
         // The distance decreases by the share 2 guidance_step_size, because the loss is a square.
-        let share = away(&moved) / away(&noisy);
-        assert!((share - (1.0 - 2.0 * 0.2)).abs() < 1e-6, "{share}");
-        // Ground position, velocity and acceleration.
-        let ground = |index: usize| [0, 2, 3, 5, 6, 8].contains(&(index / 40));
-        assert!(
-            step.iter()
-                .enumerate()
-                .all(|(i, step)| ground(i) || *step == 0.0)
-        );
+        for (size, expected) in [(0.0, 1.0), (0.2, 0.6), (0.5, 0.0), (3.0, 0.0)] {
+            path.config.guidance_step_size = size;
+            let moved = led(&path, 500);
+            let share = away(&moved) / away(&predicted);
+            assert!((share - expected).abs() < 1e-6, "{size}: {share}");
+            // Ground position, velocity and acceleration.
+            let ground = |index: usize| [0, 2, 3, 5, 6, 8].contains(&(index / 40));
+            let pairs = moved.iter().zip(&predicted).enumerate();
+            let mut others = pairs.filter(|(index, _)| !ground(*index));
+            assert!(others.all(|(_, (moved, before))| moved == before));
+        }
+        path.config.tolerance = 100.0;
+        assert_eq!(led(&path, 500), predicted, "within the tolerance");
     }
 
     #[test]

@@ -166,14 +166,6 @@ impl Generator {
         let mut done = 0;
         let mut predict = |x: Tensor<3>, time: &[Time]| {
             let timesteps: Vec<usize> = time.iter().map(|time| time.timestep()).collect();
-            let statistics = self.state.normalization();
-            let step = windowed.path.and_then(|path| {
-                path.step(&host_values(x.clone()), windows, statistics, timesteps[0])
-            });
-            let x = match step {
-                Some(step) => x - self.on_device(step, shape),
-                None => x,
-            };
             let mut predicted = Vec::with_capacity(shape.iter().product());
             for batch in windowed.batches() {
                 let features = batch.clone().map(|window| {
@@ -198,7 +190,8 @@ impl Generator {
                 }
             }
             if let Some(path) = windowed.path {
-                path.put(&mut predicted, windows, statistics, timesteps[0]);
+                let statistics = self.state.normalization();
+                path.lead(&mut predicted, windows, statistics, timesteps[0]);
             }
             self.stitched(windowed, &mut predicted, known);
             let x_start = self.on_device(predicted, shape);
