@@ -54,6 +54,37 @@ fn each_sample_of_a_folder_is_checked_once() {
 }
 
 #[test]
+fn the_bounds_of_the_five_checks_are_read_from_a_file() {
+    let sandbox = sandbox();
+    sandbox
+        .run("data synth --out set --phrases 1 --frames 60")
+        .succeeded();
+    let check = "check set/motion --profile ccmotion";
+    sandbox.run(check).succeeded();
+    sandbox.write("strict.toml", "max_jerk = 0.5\n");
+    let said = sandbox.run(&format!("{check} --thresholds strict.toml"));
+    let said = said.failed(1, &[]);
+    assert!(said.stdout.contains("FAIL jerk"), "{}", said.stdout);
+    for (text, expected) in [
+        ("max_jerks = 1", "unknown key `max_jerks`"),
+        ("max_jerk = -1", "`max_jerk` is -1"),
+        ("phase_min = 2", "`phase_min` is 2"),
+    ] {
+        sandbox.write("wrong.toml", text);
+        let said = sandbox.run(&format!("{check} --thresholds wrong.toml"));
+        said.failed(2, &["wrong.toml:1", expected]);
+    }
+    sandbox
+        .run("check set/motion --thresholds strict.toml")
+        .failed(2, &["--thresholds", "--profile"]);
+    let walk = vec![0.5; 40 * 22 * 3];
+    write_values(&sandbox.path("walk.npy"), &[40, 22, 3], &walk).expect("npy");
+    sandbox
+        .run("check walk.npy --profile ccmotion --thresholds strict.toml")
+        .failed(2, &["a motion that is no phrase"]);
+}
+
+#[test]
 fn inspect_finds_out_what_a_folder_holds() {
     let sandbox = sandbox();
     sandbox

@@ -328,4 +328,40 @@ fn the_profile_says_how_a_sample_is_repaired() {
     );
     let literal = motion(&sandbox, "ccmotion.npy");
     assert!((0..literal.frames()).all(|t| literal.quaternion(t).w >= 0.0));
+    // Single steps.
+    let only = "fit_coherent_motion=false";
+    for (name, setting) in [
+        ("smoothed", "apply_smoothing=true"),
+        ("blended", "enforce_velocity_coherence=true"),
+        ("slow", "limits.velocity=0.01"),
+    ] {
+        let set =
+            format!("--set evaluation.postprocess.{only} --set evaluation.postprocess.{setting}");
+        let set = match name {
+            "slow" => format!("{set} --set evaluation.postprocess.widen_limits=false"),
+            _ => set,
+        };
+        sandbox
+            .run(&format!("{draw} {set} --out {name}"))
+            .succeeded();
+        assert_ne!(
+            motion(&sandbox, &format!("{name}.npy")),
+            motion(&sandbox, "unsaid.npy")
+        );
+        let used = &record(&sandbox, &format!("{name}.json"))["post_processing"];
+        assert_eq!(used["fit_coherent_motion"], false);
+    }
+    let slow = motion(&sandbox, "slow.npy");
+    assert!((0..slow.frames()).all(|t| slow.frame(t)[3..6].iter().all(|v| v.abs() <= 0.01)));
+    sandbox
+        .run(&format!(
+            "{draw} --set evaluation.postprocess.smoothing_kernel_size=4 --out even"
+        ))
+        .failed(
+            2,
+            &[
+                "evaluation.postprocess.smoothing_kernel_size",
+                "an odd number of frames",
+            ],
+        );
 }

@@ -58,6 +58,11 @@ def test_checks_are_those_of_the_command_line(phrases, command, tmp_path):
         assert found["checks"] == expected["checks"] and found["passed"] == expected["passed"]
     # Without a run the bounds are those of captured people.
     assert kinegrad.check(sample.motion) == kinegrad.check(sample.motion, "strict")
+    found = kinegrad.check(sample.motion, "ccmotion", thresholds={"max_jerk": 0.0})
+    assert [check["name"] for check in found["checks"] if not check["passed"]] == ["jerk"]
+    for profile, thresholds in [("strict", {}), ("ccmotion", {"max_jerks": 1.0})]:
+        with pytest.raises(kinegrad.errors.UsageError, match="thresholds"):
+            kinegrad.check(sample.motion, profile, thresholds=thresholds)
     with pytest.raises(kinegrad.UsageError, match="not a known motion representation"):
         kinegrad.check(np.zeros((4, 7)))
     with pytest.raises(kinegrad.UsageError, match="profile"):

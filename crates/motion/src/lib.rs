@@ -66,7 +66,8 @@ pub use representation::{
 };
 pub use rotation::Quaternion;
 pub use sanity::{
-    BodyFinding, CapturedBody, Check, Profile, Report, Threshold, Value, check, check_capture,
+    BodyFinding, CapturedBody, Check, Profile, Report, SanityThresholds, Threshold, Value, check,
+    check_capture, check_thresholds,
 };
 pub use statistics::Statistics;
 

@@ -25,6 +25,9 @@ pub struct CheckArguments {
     /// without --run and --source; or `ccmotion`, CC-MotionGen's five on means over all frames
     #[arg(long, value_parser = named::<Profile>, default_value = "strict")]
     pub profile: Profile,
+    /// TOML file with bounds for `ccmotion`: the keys of `evaluation.thresholds`
+    #[arg(long, value_name = "FILE")]
+    pub thresholds: Option<PathBuf>,
     /// Run or checkpoint with the training statistics for `strict`
     #[arg(long, value_name = "RUN", conflicts_with = "source")]
     pub run: Option<PathBuf>,

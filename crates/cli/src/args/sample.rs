@@ -35,7 +35,7 @@ pub struct SampleArguments {
     #[command(flatten)]
     pub conditions: ConditionArguments,
     /// Post-processing of phrases: `default`, `ccmotion` (exactly CC-MotionGen's) or `none`
-    /// [default: default]
+    /// [default: the table `evaluation.postprocess`]
     #[arg(long, value_name = "PROFILE", value_parser = named::<PostProcessProfile>)]
     pub postprocess: Option<PostProcessProfile>,
     /// Lock standing feet in the BVH file; the arrays do not change

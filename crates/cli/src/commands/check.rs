@@ -2,12 +2,15 @@
 
 mod motion;
 
+use std::path::Path;
 use std::process::ExitCode;
 
+use kinegrad_data::file::read_text;
 use kinegrad_data::humanml::SkeletonName;
 use kinegrad_data::{DataConfig, DataKind};
-use kinegrad_motion::{Profile, Report, Representation, Statistics};
+use kinegrad_motion::{Profile, Report, Representation, SanityThresholds, Statistics};
 use kinegrad_report::table;
+use kinegrad_settings::Document;
 use kinegrad_train::checkpoint::State;
 use kinegrad_train::{Error, Systems};
 use serde_json::json;
@@ -32,6 +35,17 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
     let run = arguments.run.as_deref().filter(|_| strict);
     let state = run.map(checkpoint).transpose()?.map(|saved| saved.state);
     let reading = BvhReading::of(&arguments.bvh);
+    let thresholds = arguments
+        .thresholds
+        .as_deref()
+        .map(thresholds)
+        .transpose()?;
+    if thresholds.is_some() && strict {
+        return Err(Error::usage(
+            "option `thresholds` without option `profile = \"ccmotion\"`",
+            "the bounds of `strict` come from training motion or captured people",
+        ));
+    }
     for path in files {
         let motion = Motion::read(systems, &path, &reading)?;
         if let (Motion::Capture(_), Profile::Ccmotion) = (&motion, arguments.profile) {
@@ -49,7 +63,10 @@ pub fn run(systems: Systems<'_>, arguments: CheckArguments) -> Result<ExitCode, 
         }
         let known = measured.as_ref().and_then(|(_, found)| found.as_ref());
         let known = known.filter(|_| motion.representation().is_some());
-        let report = motion.check(arguments.profile, known);
+        let report = match &thresholds {
+            Some(thresholds) => motion.check_thresholds(&path, thresholds)?,
+            None => motion.check(arguments.profile, known),
+        };
         of_people |= strict && known.is_none_or(|known| known.movement.is_empty());
         reports.push((path.display().to_string(), report));
     }
@@ -115,6 +132,21 @@ fn statistics(
         None => data.validation.fraction = Some(0.0),
     }
     Ok(Some(kinegrad_data::statistics(&data)?))
+}
+
+/// The bounds in a file.
+fn thresholds(path: &Path) -> Result<SanityThresholds, Error> {
+    let (name, help) = (
+        path.display().to_string(),
+        "docs/config.md lists the keys of `evaluation.thresholds`",
+    );
+    let text = read_text(path)
+        .map_err(|error| Error::usage(format!("{name} cannot be read: {error}"), help))?;
+    let document = Document::parse(&text, &name)?;
+    let thresholds: SanityThresholds = document.read(help)?;
+    let valid = thresholds.validate();
+    valid.map_err(|setting| document.refuse(setting))?;
+    Ok(thresholds)
 }
 
 fn report_table(report: &Report) -> String {

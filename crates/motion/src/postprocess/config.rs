@@ -1,10 +1,11 @@
 //! Settings of the post-processor.
 
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, in_range, require};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// The sign of a rotation's quaternion, `q` or `-q`.
-#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, JsonSchema, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Hemisphere {
     /// The sign nearer to the previous frame: continuous in time.
@@ -16,7 +17,7 @@ pub enum Hemisphere {
 }
 
 /// Differences of step 5.
-#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, JsonSchema, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Differences {
     /// `x[t+1] - x[t]`, as in the losses and checks.
@@ -27,7 +28,7 @@ pub enum Differences {
 }
 
 /// Largest absolute value of each component (docs/sources.md, section 1.12).
-#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[derive(Clone, Debug, Deserialize, JsonSchema, PartialEq, Serialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ClampLimits {
     /// Position, metres.
@@ -77,7 +78,7 @@ impl From<PostProcessProfile> for PostProcessConfig {
 /// Settings of [`process`](super::process) (CC-MotionGen, section 9.1; docs/sources.md, section
 /// 1.12), in the order of the steps. Presets: [`default`](Self::default),
 /// [`ccmotion`](Self::ccmotion) and [`none`](Self::none).
-#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[derive(Clone, Debug, Deserialize, JsonSchema, PartialEq, Serialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PostProcessConfig {
     /// Step 1: clamp position, velocity, acceleration and angular velocity to `limits`.
@@ -88,14 +89,20 @@ pub struct PostProcessConfig {
     pub widen_limits: bool,
     /// Step 2: normalize quaternions, with signs by `hemisphere`.
     pub normalize_quaternions: bool,
+    /// Norm below which a quaternion has no direction: the previous one is repeated.
+    pub quaternion_eps: f64,
     /// Sign of quaternions in steps 2 and 3.
     pub hemisphere: Hemisphere,
     /// Step 3: replace each quaternion by the mean of its neighbors.
     pub smooth_quaternions: bool,
     /// Frames in that mean, odd.
     pub quaternion_smoothing_window: usize,
-    /// Step 4: clamp the phase to [0, 1].
+    /// Step 4: clamp the phase to `phase_min` and `phase_max`.
     pub clamp_phase: bool,
+    /// Smallest clamped phase, bars.
+    pub phase_min: f64,
+    /// Largest clamped phase, bars.
+    pub phase_max: f64,
     /// Step 4: hold the phase at backward steps of at most half a bar.
     pub enforce_phase_monotonic: bool,
     /// Step 5: average the velocity with position differences.
@@ -151,10 +158,13 @@ impl PostProcessConfig {
             limits: ClampLimits::default(),
             widen_limits: false,
             normalize_quaternions: false,
+            quaternion_eps: 1e-8,
             hemisphere: Hemisphere::Continuous,
             smooth_quaternions: false,
             quaternion_smoothing_window: 5,
             clamp_phase: false,
+            phase_min: 0.0,
+            phase_max: 1.0,
             enforce_phase_monotonic: false,
             enforce_velocity_coherence: false,
             enforce_accel_coherence: false,
@@ -167,7 +177,8 @@ impl PostProcessConfig {
     }
 
     /// # Errors
-    /// Errors for even windows, and for limits that are not positive and finite.
+    /// Errors for even windows, for limits and `quaternion_eps` that are not positive and finite, and
+    /// for a `phase_min` above `phase_max`.
     pub fn validate(&self) -> Result<(), InvalidSetting> {
         let keys = ["quaternion_smoothing_window", "smoothing_kernel_size"];
         let windows = [self.quaternion_smoothing_window, self.smoothing_kernel_size];
@@ -175,6 +186,9 @@ impl PostProcessConfig {
             let allowed = "an odd number of frames: 1, 3, 5, ...";
             require(!frames.is_multiple_of(2), key, frames, allowed)?;
         }
+        in_range("quaternion_eps", self.quaternion_eps, ABOVE_ZERO)?;
+        in_range("phase_max", self.phase_max, ..)?;
+        in_range("phase_min", self.phase_min, ..=self.phase_max)?;
         let limits = &self.limits;
         in_range("limits.position", limits.position, ABOVE_ZERO)?;
         in_range("limits.velocity", limits.velocity, ABOVE_ZERO)?;

@@ -60,15 +60,14 @@ pub fn process_around(
         clamp_values(&mut frames, config, statistics);
     }
     if config.normalize_quaternions {
-        orientation::normalize(&mut frames, config.hemisphere);
+        orientation::normalize(&mut frames, config);
     }
     if config.smooth_quaternions {
-        let window = config.quaternion_smoothing_window;
-        orientation::smooth(&mut frames, window, config.hemisphere);
+        orientation::smooth(&mut frames, config);
     }
     if config.clamp_phase {
         for frame in &mut frames {
-            frame[PHASE] = clamp(frame[PHASE], 0.0, 1.0);
+            frame[PHASE] = clamp(frame[PHASE], config.phase_min, config.phase_max);
         }
     }
     if config.enforce_phase_monotonic {

@@ -1,24 +1,21 @@
 //! Steps 2 and 3 of the post-processor: quaternions.
 
-use super::{Frames, Hemisphere, window};
+use super::{Frames, Hemisphere, PostProcessConfig, window};
 use crate::Quaternion;
 use crate::derivatives::make_sign_continuous;
 use crate::phrase::{CHANNELS, QUATERNION};
 use crate::vector::plus;
 
-/// Smallest norm of a quaternion with a direction.
-const SMALLEST_NORM: f64 = 1e-8;
-
 /// Brings every quaternion to unit norm and to one hemisphere.
-pub(super) fn normalize(frames: &mut Frames, hemisphere: Hemisphere) {
+pub(super) fn normalize(frames: &mut Frames, config: &PostProcessConfig) {
     let mut quaternions: Vec<Quaternion> = frames.iter().map(read).collect();
-    finish(&mut quaternions, hemisphere);
+    finish(&mut quaternions, config);
     write(frames, &quaternions);
 }
 
-/// Replaces each quaternion by the normalized mean of `size` quaternions around it, keeping the
-/// sign.
-pub(super) fn smooth(frames: &mut Frames, size: usize, hemisphere: Hemisphere) {
+/// Replaces each quaternion by the normalized mean of a window around it, keeping the sign.
+pub(super) fn smooth(frames: &mut Frames, config: &PostProcessConfig) {
+    let size = config.quaternion_smoothing_window;
     let original: Vec<Quaternion> = frames.iter().map(read).collect();
     let mean = |t: usize| {
         let near = window(t, size, original.len()).map(|s| original[s].nearer_to(original[t]));
@@ -26,20 +23,21 @@ pub(super) fn smooth(frames: &mut Frames, size: usize, hemisphere: Hemisphere) {
         Quaternion::from(sum).scale(1.0 / (2 * (size / 2) + 1) as f64)
     };
     let mut smoothed: Vec<Quaternion> = (0..original.len()).map(mean).collect();
-    finish(&mut smoothed, hemisphere);
+    finish(&mut smoothed, config);
     write(frames, &smoothed);
 }
 
 /// Divides by the norm and picks the sign.
-fn finish(quaternions: &mut [Quaternion], hemisphere: Hemisphere) {
+fn finish(quaternions: &mut [Quaternion], config: &PostProcessConfig) {
+    let (hemisphere, eps) = (config.hemisphere, config.quaternion_eps);
     let mut previous = Quaternion::IDENTITY;
     for quaternion in quaternions.iter_mut() {
         let norm = quaternion.norm();
         *quaternion = match hemisphere {
             // CC-MotionGen leaves a vanishing quaternion short. Here the previous quaternion is
             // repeated.
-            Hemisphere::Continuous if norm < SMALLEST_NORM => previous,
-            _ => quaternion.scale(1.0 / norm.max(SMALLEST_NORM)),
+            Hemisphere::Continuous if norm < eps => previous,
+            _ => quaternion.scale(1.0 / norm.max(eps)),
         };
         if norm.is_finite() {
             previous = *quaternion;
@@ -87,10 +85,17 @@ mod tests {
         dots.fold(f64::INFINITY, f64::min)
     }
 
+    fn of(hemisphere: Hemisphere) -> PostProcessConfig {
+        PostProcessConfig {
+            hemisphere,
+            ..PostProcessConfig::default()
+        }
+    }
+
     #[test]
     fn continuous_signs_survive_the_passage_through_zero() {
         let mut frames = turning();
-        normalize(&mut frames, Hemisphere::Continuous);
+        normalize(&mut frames, &of(Hemisphere::Continuous));
         assert!(smallest_dot(&frames) > 0.99);
         assert!(frames.iter().any(|frame| read(frame).w < 0.0));
         assert!(
@@ -103,7 +108,7 @@ mod tests {
     #[test]
     fn positive_w_jumps_there() {
         let mut frames = turning();
-        normalize(&mut frames, Hemisphere::PositiveW);
+        normalize(&mut frames, &of(Hemisphere::PositiveW));
         assert!(smallest_dot(&frames) < -0.99);
         assert!(frames.iter().all(|frame| read(frame).w >= 0.0));
     }
@@ -112,8 +117,8 @@ mod tests {
     fn smoothing_does_not_depend_on_signs_and_keeps_a_constant_turn() {
         for hemisphere in [Hemisphere::Continuous, Hemisphere::PositiveW] {
             let (mut smoothed, mut plain) = (turning(), turning());
-            smooth(&mut smoothed, 5, hemisphere);
-            normalize(&mut plain, hemisphere);
+            smooth(&mut smoothed, &of(hemisphere));
+            normalize(&mut plain, &of(hemisphere));
             // The mean of a symmetric neighborhood on the arc is its center.
             for t in 2..78 {
                 assert!(

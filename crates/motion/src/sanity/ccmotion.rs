@@ -1,40 +1,86 @@
 //! CC-MotionGen's five checks.
 
+use kinegrad_settings::{InvalidSetting, in_range};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
 use super::{Check, Report, Threshold, coherence, finite_phrase, jerk, phase};
 use crate::derivatives::{acceleration_errors, mean_absolute_component, velocity_errors};
 use crate::moments::mean;
 use crate::{Phrase, Quaternion};
 
-/// Smallest and largest mean quaternion norm.
-const QUATERNION_NORM: [f64; 2] = [0.95, 1.05];
+/// The bounds of the five checks (CC-MotionGen, section 10.1).
+#[derive(Clone, Copy, Debug, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SanityThresholds {
+    /// Smallest mean quaternion norm.
+    pub quaternion_norm_min: f64,
+    /// Largest mean quaternion norm.
+    pub quaternion_norm_max: f64,
+    /// Smallest phase, bars.
+    pub phase_min: f64,
+    /// Largest phase, bars.
+    pub phase_max: f64,
+    /// Bound of the mean jerk norm, metres per second cubed.
+    pub max_jerk: f64,
+    /// Largest mean absolute velocity error per component, metres per second.
+    pub max_velocity_error: f64,
+    /// Largest mean absolute acceleration error per component, metres per second squared.
+    pub max_acceleration_error: f64,
+}
 
-/// Bound of the mean jerk norm, metres per second cubed.
-const MAX_JERK: f64 = 50_000.0;
+impl Default for SanityThresholds {
+    fn default() -> Self {
+        Self {
+            quaternion_norm_min: 0.95,
+            quaternion_norm_max: 1.05,
+            phase_min: 0.0,
+            phase_max: 1.0,
+            max_jerk: 50_000.0,
+            max_velocity_error: 5.0,
+            max_acceleration_error: 100.0,
+        }
+    }
+}
 
-/// Upper bound of the mean absolute velocity error per component, metres per second.
-const MAX_VELOCITY_ERROR: f64 = 5.0;
-
-/// Upper bound of the mean absolute acceleration error per component, metres per second squared.
-const MAX_ACCELERATION_ERROR: f64 = 100.0;
+impl SanityThresholds {
+    /// # Errors
+    /// Errors for negative bounds, and for a smallest value above the largest.
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
+        in_range("quaternion_norm_max", self.quaternion_norm_max, 0.0..)?;
+        let norms = 0.0..=self.quaternion_norm_max;
+        in_range("quaternion_norm_min", self.quaternion_norm_min, norms)?;
+        in_range("phase_max", self.phase_max, ..)?;
+        in_range("phase_min", self.phase_min, ..=self.phase_max)?;
+        in_range("max_jerk", self.max_jerk, 0.0..)?;
+        in_range("max_velocity_error", self.max_velocity_error, 0.0..)?;
+        let error = self.max_acceleration_error;
+        in_range("max_acceleration_error", error, 0.0..)
+    }
+}
 
 /// Makes the five checks of [`Profile::Ccmotion`](super::Profile::Ccmotion) (CC-MotionGen, section
-/// 10.1; docs/sources.md, section 1.13), and adds a failed check `finite`.
-pub(super) fn check(motion: &Phrase) -> Report {
+/// 10.1; docs/sources.md, section 1.13) with these bounds, and adds a failed check `finite`.
+pub fn check_thresholds(motion: &Phrase, thresholds: &SanityThresholds) -> Report {
+    let bounds = thresholds;
     let mut checks = vec![
-        quaternion(motion),
-        phase(motion, [0.0, 1.0]),
-        jerk(motion, Threshold::Below(MAX_JERK)),
+        quaternion(
+            motion,
+            [bounds.quaternion_norm_min, bounds.quaternion_norm_max],
+        ),
+        phase(motion, [bounds.phase_min, bounds.phase_max]),
+        jerk(motion, Threshold::Below(bounds.max_jerk)),
         coherence(
             "velocity_coherence",
             mean_absolute_component(&velocity_errors(motion)),
             "mean component of the velocity error {error} m/s",
-            MAX_VELOCITY_ERROR,
+            bounds.max_velocity_error,
         ),
         coherence(
             "accel_coherence",
             mean_absolute_component(&acceleration_errors(motion)),
             "mean component of the acceleration error {error} m/s^2",
-            MAX_ACCELERATION_ERROR,
+            bounds.max_acceleration_error,
         ),
     ];
     // The five checks ignore style and angular velocity.
@@ -45,11 +91,10 @@ pub(super) fn check(motion: &Phrase) -> Report {
     Report::new(checks)
 }
 
-fn quaternion(motion: &Phrase) -> Check {
+fn quaternion(motion: &Phrase, allowed: [f64; 2]) -> Check {
     let mean = mean(motion.quaternions().into_iter().map(Quaternion::norm));
     let message = format!("mean quaternion norm {mean:.4}");
-    let threshold = Threshold::Within(QUATERNION_NORM);
-    Check::new("quaternion", mean, threshold, message)
+    Check::new("quaternion", mean, Threshold::Within(allowed), message)
 }
 
 #[cfg(test)]
@@ -63,7 +108,7 @@ mod tests {
     fn failing(change: impl Fn(&mut Phrase, usize)) -> Vec<&'static str> {
         let mut motion = random_phrase(7, 20);
         (0..20).for_each(|t| change(&mut motion, t));
-        let report = check(&motion);
+        let report = check_thresholds(&motion, &SanityThresholds::default());
         report
             .checks
             .iter()
@@ -81,7 +126,7 @@ mod tests {
 
     #[test]
     fn a_good_phrase_passes_five_checks() {
-        let report = check(&random_phrase(7, 20));
+        let report = check_thresholds(&random_phrase(7, 20), &SanityThresholds::default());
         let names: Vec<_> = report.checks.iter().map(|check| check.name).collect();
         let published = [
             "quaternion",
@@ -114,5 +159,37 @@ mod tests {
         assert!(failing(|m, t| add(m, t, ACCELERATION, 99.0)).is_empty());
         let zigzag = |m: &mut Phrase, t: usize| add(m, t, ACCELERATION, [0.0, 1000.0][t % 2]);
         assert_eq!(failing(zigzag), ["jerk", "accel_coherence"]);
+    }
+
+    #[test]
+    fn each_bound_acts() {
+        let motion = random_phrase(7, 20);
+        let own = SanityThresholds::default();
+        let failing = |thresholds: SanityThresholds| {
+            let report = check_thresholds(&motion, &thresholds);
+            let failed = report.checks.iter().filter(|check| !check.passed);
+            failed.map(|check| check.name).collect::<Vec<_>>()
+        };
+        assert!(failing(own).is_empty());
+        let changed: [(&str, fn(&mut SanityThresholds)); 7] = [
+            ("quaternion", |own| own.quaternion_norm_min = 1.01),
+            ("quaternion", |own| own.quaternion_norm_max = 0.99),
+            ("phase", |own| own.phase_min = 0.9),
+            ("phase", |own| own.phase_max = 0.1),
+            ("jerk", |own| own.max_jerk = 1e-3),
+            ("velocity_coherence", |own| own.max_velocity_error = 1e-9),
+            ("accel_coherence", |own| own.max_acceleration_error = 1e-9),
+        ];
+        for (name, change) in changed {
+            let mut thresholds = own;
+            change(&mut thresholds);
+            assert_eq!(failing(thresholds), [name]);
+        }
+        assert!(own.validate().is_ok());
+        let reversed = SanityThresholds {
+            phase_min: 2.0,
+            ..own
+        };
+        assert_eq!(reversed.validate().unwrap_err().key, "phase_min");
     }
 }

@@ -20,6 +20,7 @@ use serde::{Deserialize, Serialize};
 pub(crate) use bounds::FACTOR;
 pub use bounds::{Bounds, Margin};
 pub use capture::{CapturedBody, check_capture};
+pub use ccmotion::{SanityThresholds, check_thresholds};
 pub use finding::BodyFinding;
 pub use report::{Check, Report, Threshold, Value};
 
@@ -53,7 +54,7 @@ impl std::fmt::Display for Profile {
 /// these do not describe movement.
 pub fn check(motion: &Phrase, profile: Profile, statistics: Option<&Statistics>) -> Report {
     match (profile, statistics) {
-        (Profile::Ccmotion, _) => ccmotion::check(motion),
+        (Profile::Ccmotion, _) => check_thresholds(motion, &SanityThresholds::default()),
         (Profile::Strict, Some(training)) if training.describes_movement() => {
             strict::check(motion, training)
         }

@@ -63,6 +63,7 @@ def check(
     motion: ArrayLike | PathArgument,
     profile: Literal["ccmotion", "strict"] = "strict",
     run: PathArgument | None = None,
+    thresholds: dict[str, float] | None = None,
 ) -> dict[str, Any]:
     """Checks motion for physical sanity, as `kinegrad check` does.
 
@@ -73,6 +74,7 @@ def check(
             training motion of `run`, or from captured people; `"ccmotion"` checks the channels of
             phrases.
         run: Run or checkpoint whose training statistics `"strict"` uses.
+        thresholds: Bounds of `"ccmotion"`, by the keys of the table `evaluation.thresholds`.
 
     Returns:
         `passed`, and `checks`: for each its `name`, `passed`, `value`, `threshold` and `message`.
@@ -83,7 +85,9 @@ def check(
     if isinstance(motion, (str, Path)):
         motion = np.load(motion)
     array = np.asarray(motion, dtype=np.float32)
-    report: dict[str, Any] = json.loads(_kinegrad.check(array, profile, run))
+    report: dict[str, Any] = json.loads(
+        _kinegrad.check(array, profile, run, None if thresholds is None else json.dumps(thresholds))
+    )
     return report
 
 

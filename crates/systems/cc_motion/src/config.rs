@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use kinegrad_data::DataKind;
 use kinegrad_diffusion::{DiffusionConfig, GuidanceScales, RolloutMode as Graph, must_suit};
 use kinegrad_models::LoraConfig;
+use kinegrad_motion::{PostProcessConfig, SanityThresholds};
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use kinegrad_train::Error;
 use kinegrad_train::config::{ClipSample, Config, ModelTable, NetworkKind, PLAIN, SystemTables};
@@ -289,6 +290,10 @@ pub struct EvaluationConfig {
     pub beats_per_bar: Option<usize>,
     /// The path-following method of phrases.
     pub path: PhrasePathConfig,
+    /// The post-processing of samples, unless `kinegrad sample --postprocess` names a profile.
+    pub postprocess: PostProcessConfig,
+    /// The bounds of the profile `ccmotion`.
+    pub thresholds: SanityThresholds,
 }
 
 impl Default for EvaluationConfig {
@@ -300,6 +305,8 @@ impl Default for EvaluationConfig {
             guidance_scales: Vec::new(),
             beats_per_bar: None,
             path: PhrasePathConfig::default(),
+            postprocess: PostProcessConfig::default(),
+            thresholds: SanityThresholds::default(),
         }
     }
 }
@@ -343,6 +350,10 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         .path
         .validate(own.diffusion.num_train_timesteps)
         .within("evaluation.path")?;
+    let postprocess = own.evaluation.postprocess.validate();
+    postprocess.within("evaluation.postprocess")?;
+    let thresholds = own.evaluation.thresholds.validate();
+    thresholds.within("evaluation.thresholds")?;
     in_range("evaluation.seeds", own.evaluation.seeds, 1..)?;
     if let Some(phrases) = own.evaluation.phrases {
         in_range("evaluation.phrases", phrases, 1..)

@@ -62,12 +62,13 @@ impl Generator {
         state: State,
         device: &Device,
     ) -> Self {
+        let evaluation = &state.config.own::<CcMotionConfig>().evaluation;
         Self {
             unet,
             decoder,
             diffusion,
             targets: targets(&state.config),
-            post_processing: PostProcessConfig::default(),
+            post_processing: evaluation.postprocess.clone(),
             style: None,
             state,
             device: device.clone(),

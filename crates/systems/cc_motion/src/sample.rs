@@ -9,7 +9,10 @@ use kinegrad_data::{Alone, AudioFeatures, DataConfig, DataKind, Dataset, PhraseI
 use kinegrad_motion::path::PathPlan;
 use kinegrad_motion::postprocess::PostProcessConfig;
 use kinegrad_motion::stitch::Windows;
-use kinegrad_motion::{OrientationEncoding, Phrase, Profile, Report, Statistics, check};
+use kinegrad_motion::{
+    OrientationEncoding, Phrase, Profile, Report, SanityThresholds, Statistics, check,
+    check_thresholds,
+};
 use kinegrad_settings::counted;
 use kinegrad_train::clips::path_target::read_path;
 use kinegrad_train::config::Config;
@@ -20,13 +23,13 @@ use kinegrad_train::sampling::{
 use kinegrad_train::song::{KnownBeats, song_features};
 use kinegrad_train::{Error, TrainedModel};
 
-use super::CcMotionConfig;
 use super::generate::{Generator, Sample, keys, needs};
 use super::lengths::{untrained, windows};
 use super::load::{targets, unet1d};
 use super::path::PathCondition;
 use super::style::must_know;
 use super::windowed::{WINDOWS_IN_FLIGHT, WindowedSampling};
+use super::{CcMotionConfig, EvaluationConfig};
 use crate::network::Beats;
 
 /// Conditions of phrases.
@@ -193,7 +196,14 @@ impl<'a> Phrases<'a> {
     }
 
     fn post_processing(&self) -> PostProcessConfig {
-        self.request.post_processing.unwrap_or_default().into()
+        match self.request.post_processing {
+            Some(profile) => profile.into(),
+            None => self.evaluation().postprocess.clone(),
+        }
+    }
+
+    fn evaluation(&self) -> &EvaluationConfig {
+        &self.trained.config().own::<CcMotionConfig>().evaluation
     }
 
     /// One sample for each held-out phrase, with a table of checks. The samples equal the first
@@ -227,7 +237,13 @@ impl<'a> Phrases<'a> {
             for (offset, sample) in samples.into_iter().enumerate() {
                 let job = first + offset;
                 let name = &self.tasks[job].name;
-                rows.push(checked(name, &sample.motion, generator.statistics()));
+                let thresholds = &self.evaluation().thresholds;
+                rows.push(checked(
+                    name,
+                    &sample.motion,
+                    generator.statistics(),
+                    thresholds,
+                ));
                 let record = self.record(run, job, 0);
                 run.pass(job, 0, generated(sample), record)?;
             }
@@ -325,9 +341,14 @@ fn generated(sample: Sample) -> Generated {
 }
 
 /// A line of both profiles' verdicts.
-fn checked(name: &str, motion: &Phrase, statistics: &Statistics) -> Vec<String> {
-    let reports = [Profile::Ccmotion, Profile::Strict]
-        .map(|profile| check(motion, profile, Some(statistics)));
+fn checked(
+    name: &str,
+    motion: &Phrase,
+    statistics: &Statistics,
+    thresholds: &SanityThresholds,
+) -> Vec<String> {
+    let strict = check(motion, Profile::Strict, Some(statistics));
+    let reports = [check_thresholds(motion, thresholds), strict];
     let checks = reports.iter().flat_map(|report| &report.checks);
     let failed = checks.filter(|check| !check.passed);
     let mut failed: Vec<&str> = failed.map(|check| check.name).collect();

@@ -5,8 +5,8 @@ use std::path::Path;
 use kinegrad_capture::clips::Body;
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_motion::{
-    BodyValue, CapturedBody, JointPositions, Profile, Report, Representation, Statistics,
-    check_capture,
+    BodyValue, CHANNELS, CapturedBody, JointPositions, Phrase, Profile, Report, Representation,
+    SanityThresholds, Statistics, check_capture, check_thresholds,
 };
 use kinegrad_train::{Error, Systems};
 use miette::Diagnostic;
@@ -47,6 +47,27 @@ impl Motion {
                 let representation = captured.representation.as_ref();
                 representation.map(|positions| positions as &dyn Representation)
             }
+        }
+    }
+
+    /// The profile `ccmotion` with these bounds. Fails unless the motion is a phrase.
+    pub fn check_thresholds(
+        &self,
+        path: &Path,
+        thresholds: &SanityThresholds,
+    ) -> Result<Report, Error> {
+        match self {
+            Self::Array(array) if array.representation.stored_channels() == CHANNELS => {
+                let phrase = Phrase::new(array.values.clone())?;
+                Ok(check_thresholds(&phrase, thresholds))
+            }
+            _ => Err(Error::usage(
+                format!(
+                    "{}: option `thresholds` with a motion that is no phrase",
+                    path.display()
+                ),
+                "the five checks and their bounds are those of phrases `[T, 25]`",
+            )),
         }
     }
 

@@ -9,7 +9,10 @@ use kinegrad_motion::metrics::{
     Estimate, FeatureMoments, beat_alignment, diversity, frechet_distance, kinematic_beats, mean,
     trajectory_features,
 };
-use kinegrad_motion::{Phrase, Profile, Report, Statistics, Value, check, phrase_statistics};
+use kinegrad_motion::{
+    Phrase, Profile, Report, SanityThresholds, Statistics, Value, check, check_thresholds,
+    phrase_statistics,
+};
 use serde::Serialize;
 
 use super::movement::{MovementSpread, movement_spreads};
@@ -113,6 +116,7 @@ fn mean_value(values: impl Iterator<Item = Value>, count: f64) -> Value {
 /// The real motion and music that samples are compared with.
 pub(super) struct Reference<'a> {
     statistics: Statistics,
+    thresholds: SanityThresholds,
     phrases: &'a [Arc<PhraseItem>],
     held_out: Option<FeatureMoments>,
     training: Option<FeatureMoments>,
@@ -149,12 +153,19 @@ impl<'a> Reference<'a> {
         }
         Self {
             statistics: with_movement,
+            thresholds: SanityThresholds::default(),
             phrases: held_out,
             held_out: moments(held_out),
             training: moments(training),
             music: held_out.iter().map(beats).collect(),
             phases: held_out.iter().map(|_| None).collect(),
         }
+    }
+
+    /// With bounds of the profile `ccmotion`.
+    pub fn with_thresholds(mut self, thresholds: SanityThresholds) -> Self {
+        self.thresholds = thresholds;
+        self
     }
 
     /// With the phases of the held-out phrases.
@@ -167,11 +178,10 @@ impl<'a> Reference<'a> {
     /// in order, all of equal length; at least one phrase is needed.
     pub fn measure(&self, motions: &[Vec<Phrase>]) -> Measures {
         let all = || motions.iter().flatten();
-        let rates = |profile| {
-            let report = |motion| check(motion, profile, Some(&self.statistics));
-            let reports: Vec<_> = all().map(report).collect();
-            ProfileRates::of(&reports)
+        let rates = |report: &dyn Fn(&Phrase) -> Report| {
+            ProfileRates::of(&all().map(report).collect::<Vec<_>>())
         };
+        let strict = |motion: &Phrase| check(motion, Profile::Strict, Some(&self.statistics));
         let seeds = motions.first().map_or(0, Vec::len);
         let diversity = |samples: Vec<&Phrase>| diversity(&samples, &self.statistics);
         let by_seed = (0..seeds).map(|seed| {
@@ -209,8 +219,8 @@ impl<'a> Reference<'a> {
             mean_jerk: mean(all().map(|motion| Some(mean_jerk_norm(motion)))),
             movement: movement_spreads(all()),
             losses: loss_terms(motions, self.phrases),
-            ccmotion: rates(Profile::Ccmotion),
-            strict: rates(Profile::Strict),
+            ccmotion: rates(&|motion| check_thresholds(motion, &self.thresholds)),
+            strict: rates(&strict),
         }
     }
 }

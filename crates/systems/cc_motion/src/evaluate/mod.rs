@@ -188,7 +188,12 @@ pub(super) fn evaluate(
     let (raw, processed): (Vec<Vec<Phrase>>, Vec<Vec<Phrase>>) = samples.into_iter().unzip();
     let real = held_out.iter().map(|phrase| vec![phrase.motion.clone()]);
     let reference = Reference::new(held_out, training, generator.statistics());
-    let reference = reference.with_phases(phases);
+    let thresholds = generator
+        .config()
+        .own::<CcMotionConfig>()
+        .evaluation
+        .thresholds;
+    let reference = reference.with_phases(phases).with_thresholds(thresholds);
     Ok(EvaluationReport {
         phrases: held_out.len(),
         settings,
