@@ -168,6 +168,14 @@ fn reports_contain_no_file_from_outside_of_the_run() {
     assert!(shown.contains("a link that leads out of the run"));
     let listed = sandbox.run("runs").succeeded();
     assert!(!listed.stderr.contains("OPENSSH"), "{}", listed.stderr);
+    // Metrics of another run.
+    let metrics = sandbox.path(format!("{run}/metrics.jsonl"));
+    fs::rename(&metrics, sandbox.path("others.jsonl")).expect("moved");
+    symlink(sandbox.path("others.jsonl"), &metrics).expect("a link");
+    for command in ["report", "plot"] {
+        let said = sandbox.run(&format!("{command} {run} --out outside.html"));
+        said.failed(2, &["metrics.jsonl is a symbolic link"]);
+    }
 }
 
 #[test]
@@ -209,8 +217,10 @@ fn walks_follow_no_links_and_check_a_file_once() {
     fs::copy(&motion, sandbox.path("outside/copy.npy")).expect("copied");
     symlink(sandbox.path("outside"), sandbox.path("set/outside")).expect("a link");
     symlink(&motion, sandbox.path("set/same.npy")).expect("a link");
+    let raw = sandbox.path("set/motion/synthetic_00001/trajectory.raw.npy");
+    symlink(sandbox.path("outside/copy.npy"), raw).expect("a link");
     let checked = sandbox
-        .run("check set --profile ccmotion --json")
+        .run("check set --raw --profile ccmotion --json")
         .succeeded();
     let report: serde_json::Value = serde_json::from_str(&checked.stdout).expect("JSON");
     let files = report["files"].as_array().expect("files");

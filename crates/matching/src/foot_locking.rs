@@ -17,6 +17,18 @@ const SHORTEST: usize = 3;
 /// Frames over which a correction fades.
 const BLEND: usize = 5;
 
+/// The legs of the skeleton. Fails if no foot has two bones above it.
+pub(crate) fn known_legs(layout: &MotionMatrix) -> Result<Vec<Leg>, Error> {
+    let parents: Vec<Option<usize>> = layout.joints().iter().map(|joint| joint.parent).collect();
+    let legs = legs(layout, &parents);
+    if legs.is_empty() {
+        let problem = "no joint with two bones above it is called a foot, toe or ankle";
+        let hint = "leave option `lock_feet` out: the feet of this skeleton are not known";
+        return Err(Error::file(&layout.file, problem, hint));
+    }
+    Ok(legs)
+}
+
 /// The motion `bvh` with its feet locked where the examples' feet rest. `origins`: for each part
 /// the example and frame that each frame continues. Fails if no foot has two bones above it.
 pub(crate) fn lock_feet(
@@ -28,12 +40,7 @@ pub(crate) fn lock_feet(
 ) -> Result<(Bvh, Sliding), Error> {
     let joints = layout.joints();
     let parents: Vec<Option<usize>> = joints.iter().map(|joint| joint.parent).collect();
-    let legs = legs(layout, &parents);
-    if legs.is_empty() {
-        let problem = "no joint with two bones above it is called a foot, toe or ankle";
-        let hint = "leave option `lock_feet` out: the feet of this skeleton are not known";
-        return Err(Error::file(&layout.file, problem, hint));
-    }
+    let legs = known_legs(layout)?;
     let rests = |example: &Example| resting(layout, &example.bvh, &legs);
     let rests: Vec<Vec<Vec<bool>>> = examples.iter().map(rests).collect();
     let contacts = legs.iter().enumerate().map(|(index, leg)| {

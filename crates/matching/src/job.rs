@@ -6,7 +6,7 @@ use kinegrad_random::{Key, Purpose};
 use kinegrad_settings::{Refused, in_range};
 use serde::{Deserialize, Serialize};
 
-use crate::foot_locking::lock_feet;
+use crate::foot_locking::{known_legs, lock_feet};
 use crate::limit_jerk::{self, jerks, percentile_95};
 use crate::metrics::Reference;
 use crate::synthesis::{start_noise, synthesize_from, synthesize_like};
@@ -188,6 +188,9 @@ impl Job {
             });
         }
         self.must_agree(&layout, &constraints, frames)?;
+        if self.lock_feet {
+            known_legs(&layout)?;
+        }
         let groups: Vec<Channels> = parts.iter().map(|part| part.channels(&layout)).collect();
         let mut usual = None;
         if !fixed.is_empty() {

@@ -5,7 +5,7 @@ use thiserror::Error;
 #[derive(Debug, Error, Diagnostic)]
 pub enum Error {
     /// Weights of another network.
-    #[error("the weights do not fit:\n  {}", differences.join("\n  "))]
+    #[error("the weights do not fit: {}", differences.join("; "))]
     #[diagnostic(help(
         "the weights belong to another architecture: compare `model.*` of both configs"
     ))]

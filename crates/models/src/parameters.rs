@@ -256,7 +256,7 @@ mod tests {
         assert!(
             missing
                 .to_string()
-                .contains("do not fit:\n  missing: `bias` [2]"),
+                .contains("do not fit: missing: `bias` [2]"),
             "{missing}"
         );
 

@@ -9,9 +9,6 @@ pub const MOST: usize = 4_000;
 /// Characters of the end of a longer message.
 const END: usize = 800;
 
-/// The break before an indented line.
-const INDENTED: &str = "\n  ";
-
 /// True for a character that moves the cursor, changes the terminal, or reverses text.
 fn is_control(c: char) -> bool {
     c.is_control() || matches!(c, '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
@@ -42,14 +39,13 @@ pub fn cell(text: &str) -> Cow<'_, str> {
     escaped(text, |_| false)
 }
 
-/// A line of output. Line breaks stay at both ends and before indented lines; other control
-/// characters are escaped, so that a name cannot begin a line.
+/// A line of output. Line breaks stay at both ends; other control characters are escaped, so that a
+/// name cannot begin a line.
 pub fn line(text: &str) -> String {
     let inner = text.trim_start_matches('\n');
     let (before, _) = text.split_at(text.len() - inner.len());
     let (inner, after) = inner.split_at(inner.trim_end_matches('\n').len());
-    let lines: Vec<_> = inner.split(INDENTED).map(cell).collect();
-    format!("{before}{}{after}", lines.join(INDENTED))
+    format!("{before}{}{after}", cell(inner))
 }
 
 /// [`line()`] of at most about [`MOST`] characters, for errors and warnings.
@@ -90,10 +86,7 @@ mod tests {
             format!("\nwarning: {shown}\n")
         );
         assert_eq!(block("a\tb\n\u{1b}c\n"), "a\tb\n\\u{1b}c\n");
-        assert_eq!(
-            message("none is left:\n  one\n  two"),
-            "none is left:\n  one\n  two"
-        );
+        assert_eq!(message("a\n  error: b"), "a\\n  error: b");
         assert_eq!(message("a\0\n b"), "a\\u{0}\\n b");
         assert_eq!(message("\n\n"), "\n\n");
         for plain in ["", "Füße, 足", "a: b"] {

@@ -11,7 +11,7 @@ use crate::InvalidSetting;
 use crate::words::in_words;
 
 /// Largest document, bytes: a hostile one takes up to 600 times as much memory.
-const MOST_BYTES: usize = 8 << 20;
+const MOST_BYTES: usize = 2 << 20;
 
 /// The location of a dotted key, such as `FILE:LINE`.
 pub type Place<'a> = &'a dyn Fn(&str) -> String;
@@ -78,7 +78,7 @@ pub struct Document<'a> {
 }
 
 impl<'a> Document<'a> {
-    /// Parses the document in `text`, of at most 8 MiB; errors name `origin`, its file. Fails with
+    /// Parses the document in `text`, of at most 2 MiB; errors name `origin`, its file. Fails with
     /// [`DocumentError::Syntax`], which names the line, and with [`DocumentError::Value`] for paths
     /// whose backslashes were read as escapes, such as `"C:\temp"`.
     pub fn parse(text: &'a str, origin: &'a str) -> Result<Self, DocumentError> {

@@ -111,10 +111,10 @@ pub enum Error {
     },
     /// Weights of another program that do not fit.
     #[error(
-        "{} does not fit: {}\n  {}",
+        "{} does not fit: {}: {}",
         path.display(),
         counted(differences.len(), "difference"),
-        differences.join("\n  ")
+        differences.join("; ")
     )]
     #[diagnostic(help(
         "the weights belong to another network: check option `arch`; `evaluation.evaluator.weights` \

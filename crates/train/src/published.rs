@@ -33,7 +33,7 @@ pub fn read_tensors(path: &Path) -> Result<BTreeMap<String, Tensor>, Error> {
     let bytes = |tensor: &Tensor| tensor.byte_len() as u64;
     let stated = tensors.values().map(bytes).try_fold(0, u64::checked_add);
     match stated.is_some_and(|stated| stated <= SHARED.saturating_mul(length)) {
-        true => Ok(unwrapped(tensors)),
+        true => unwrapped(tensors).map_err(foreign),
         false => Err(foreign(format!(
             "its tensors need more than its {length} bytes"
         ))),
@@ -46,18 +46,50 @@ const WRAPPERS: [&str; 3] = ["module", "_orig_mod", "_forward_module"];
 /// Dictionaries with the weights in files with more, such as the state of an optimizer.
 const STATE_DICTS: [&str; 2] = ["state_dict", "model_state_dict"];
 
-/// Tensors named without the parts that wrappers add; those of a `state_dict` alone if it exists.
-fn unwrapped<T>(mut tensors: BTreeMap<String, T>) -> BTreeMap<String, T> {
-    let is_inside = |name: &str| name.split('.').any(|part| STATE_DICTS.contains(&part));
+/// Tensors named without the parts that wrappers add; those of a `state_dict` alone if the file is a
+/// dictionary with one. Fails for two tensors of one name.
+fn unwrapped<T>(mut tensors: BTreeMap<String, T>) -> Result<BTreeMap<String, T>, String> {
+    let first = |name: &str| name.split('.').next().unwrap_or_default().to_owned();
+    let is_inside = |name: &str| STATE_DICTS.contains(&first(name).as_str());
     if tensors.keys().any(|name| is_inside(name)) {
         tensors.retain(|name, _| is_inside(name));
     }
     let is_added = |part: &&str| WRAPPERS.contains(part) || STATE_DICTS.contains(part);
-    let plain = tensors.into_iter().map(|(name, tensor)| {
+    let mut plain: BTreeMap<String, (String, T)> = BTreeMap::new();
+    for (name, tensor) in tensors {
         let parts = name.split('.').filter(|part| !is_added(part));
-        (parts.collect::<Vec<_>>().join("."), tensor)
+        let short = parts.collect::<Vec<_>>().join(".");
+        if let Some((other, _)) = plain.get(&short) {
+            return Err(format!(
+                "it has `{other}` and `{name}`, two sets of weights of one network: save one of them"
+            ));
+        }
+        plain.insert(short, (name, tensor));
+    }
+    let plain = plain
+        .into_iter()
+        .map(|(short, (_, tensor))| (short, tensor));
+    Ok(plain.collect())
+}
+
+/// The tensors behind the only prefix of `known`, the end of a name of each network that may be in
+/// the file; all tensors if there is no such prefix, or several.
+pub fn without_prefix(
+    tensors: BTreeMap<String, Tensor>,
+    known: &[&str],
+) -> BTreeMap<String, Tensor> {
+    let prefixes = tensors.keys().flat_map(|name| {
+        let before = known.iter().filter_map(|known| name.strip_suffix(known));
+        before.map(str::to_owned)
     });
-    plain.collect()
+    let mut prefixes: Vec<String> = prefixes.collect();
+    prefixes.dedup();
+    match prefixes.as_slice() {
+        [prefix] if prefix.len() > 1 && prefix.ends_with('.') => {
+            part_of(&tensors, &prefix[..prefix.len() - 1])
+        }
+        _ => tensors,
+    }
 }
 
 /// Limit on the total size of tensors with shared storage, in file sizes.
@@ -214,7 +246,7 @@ mod tests {
     fn names_lose_the_parts_that_wrappers_add() {
         let names = |names: &[&str]| {
             let tensors = names.iter().map(|name| ((*name).to_owned(), ()));
-            let plain = unwrapped(tensors.collect());
+            let plain = unwrapped(tensors.collect()).unwrap();
             plain.into_keys().collect::<Vec<String>>()
         };
         assert_eq!(
@@ -238,5 +270,19 @@ mod tests {
             names(&["weights.state_dict._forward_module.b"]),
             ["weights.b"]
         );
+        assert_eq!(
+            names(&["model.a", "scheduler.state_dict.step"]),
+            ["model.a", "scheduler.step"]
+        );
+        for both in [
+            ["a.b", "module.a.b"],
+            ["model_state_dict.a", "state_dict.a"],
+        ] {
+            let tensors = both.iter().map(|name| ((*name).to_owned(), ()));
+            let reason = unwrapped(tensors.collect()).unwrap_err();
+            for name in both {
+                assert!(reason.contains(&format!("`{name}`")), "{reason}");
+            }
+        }
     }
 }

@@ -50,20 +50,15 @@ impl C3d {
         (!place[0].is_nan()).then(|| place.map(f64::from))
     }
 
-    /// Places of a point in all frames. A point at exactly 0, 0, 0 in some frames is missing there:
-    /// some programs write missing points so.
+    /// Places of a point in all frames. A point at exactly 0, 0, 0 is missing: some programs write
+    /// missing points so.
     ///
     /// # Panics
     /// Panics if `point` is not below the number of points per frame.
     pub fn track(&self, point: usize) -> Vec<Option<[f64; 3]>> {
         let track = (0..self.frames()).map(|t| self.point(t, point));
-        let mut track: Vec<_> = track.collect();
-        if track.iter().flatten().any(|place| *place != [0.0; 3]) {
-            for place in &mut track {
-                *place = place.filter(|place| *place != [0.0; 3]);
-            }
-        }
-        track
+        let seen = track.map(|place| place.filter(|place| *place != [0.0; 3]));
+        seen.collect()
     }
 
     /// Indices of the points called `name`: the points with exactly this label, otherwise those

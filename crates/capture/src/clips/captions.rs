@@ -83,6 +83,9 @@ pub(super) fn mirrored(text: &str) -> String {
                 result += word;
             }
             None if lower == "left" && is_verb() => result += word,
+            None if lower == "right" && is_no_side(before(index).as_deref(), &after(index)) => {
+                result += word;
+            }
             None => result += &exchanged(word, &lower),
         }
     }
@@ -176,17 +179,33 @@ fn left_is_verb(before: Option<&str>, after: &[String]) -> bool {
         let mut forms = without.into_iter().flatten().chain([before]);
         forms.any(|form| is_in(list, form))
     };
-    if is_in(PRONOUNS, before) {
+    let goes_on = || {
+        next.is_some_and(|next| next.ends_with("ing"))
+            || matches!(after, [next, third, ..] if next == "and" && third != "right")
+    };
+    if is_in(PRONOUNS, before) || is_in("that which", before) && !has_side(after) {
         return true;
     }
     if is_in("is are was were be been", before) {
         return next.is_some_and(|next| is_in("behind alone over", next));
     }
     if is_of(SUBJECTS) {
-        return has_object || next.is_none_or(|next| next.ends_with("ly"));
+        return has_object || goes_on() || next.is_none_or(|next| next.ends_with("ly"));
     }
     let is_participle = ["ing", "ed"].iter().any(|end| before.ends_with(end));
     has_object && !is_participle && !is_of(BEFORE_A_SIDE)
+}
+
+/// True if a side follows, as in "that left hand": "left" is one itself.
+fn has_side(after: &[String]) -> bool {
+    let parts = "arm leg foot hand elbow knee shoulder hip side heel toe ankle wrist turn step";
+    after.first().is_some_and(|next| is_in(parts, next))
+}
+
+/// True if "right" between these words is none, as in "right away" and "all right".
+fn is_no_side(before: Option<&str>, after: &[String]) -> bool {
+    let next = after.first().map_or("", String::as_str);
+    before == Some("all") || is_in("away now", next)
 }
 
 /// True if words are a time or a distance, not the object of a verb.
@@ -256,7 +275,6 @@ mod tests {
             ("Left LEFT lefty leftover", "Right RIGHT lefty leftover"),
             ("steps rightwards_left", "steps leftwards_right"),
             ("turns clockwise", "turns counterclockwise"),
-            ("all right", "all left"),
             ("", ""),
         ] {
             assert_eq!(mirrored(text), expected);
@@ -276,6 +294,17 @@ mod tests {
                 "she left the room, then turns right",
             ),
             ("He left.", "He left."),
+            (
+                "a man left walking to the left",
+                "a man left walking to the right",
+            ),
+            ("the one that left first", "the one that left first"),
+            (
+                "person left and turned right",
+                "person left and turned left",
+            ),
+            ("right away he left", "right away he left"),
+            ("all right, then turns right", "all right, then turns left"),
             (
                 "a person left the chair and walks left",
                 "a person left the chair and walks right",
@@ -321,6 +350,8 @@ mod tests {
             assert_eq!(mirrored(text), expected);
         }
         for (text, expected) in [
+            ("that left hand is up", "that right hand is up"),
+            ("a person left and right", "a person right and left"),
             ("turns left and left", "turns right and right"),
             (
                 "a person has left arm raised",

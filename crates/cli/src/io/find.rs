@@ -4,6 +4,7 @@ use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use kinegrad_data::file::is_inside;
 use kinegrad_train::Error;
 
 /// Endings of companion files: other forms of a sample.
@@ -95,12 +96,17 @@ fn has_sample(path: &Path) -> bool {
     stem.is_some_and(|stem| path.with_file_name(format!("{stem}.npy")).exists())
 }
 
-/// The files, each followed by its raw model output if that file exists and is not listed.
+/// The files, each followed by its raw model output if that file exists in the same folder and is not
+/// listed.
 pub fn with_raw(files: Vec<PathBuf>) -> Vec<PathBuf> {
     let listed: HashSet<PathBuf> = files.iter().cloned().collect();
     let each = files.into_iter().flat_map(|file| {
         let raw = Some(file.with_extension("raw.npy"));
-        let raw = raw.filter(|raw| raw.is_file() && !listed.contains(raw));
+        let is_beside = |raw: &Path| {
+            let folder = file.parent().filter(|folder| *folder != Path::new(""));
+            is_inside(folder.unwrap_or(Path::new(".")), raw).unwrap_or(false)
+        };
+        let raw = raw.filter(|raw| raw.is_file() && is_beside(raw) && !listed.contains(raw));
         [Some(file), raw]
     });
     each.flatten().collect()

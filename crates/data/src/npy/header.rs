@@ -59,8 +59,8 @@ pub(super) fn read(bytes: &[u8], file: &str) -> Result<Header, FileError> {
         "'<f8'" | "\"<f8\"" => true,
         _ if descr.contains('O') => {
             let problem = format!("dtype {descr} found: Python objects, not numbers");
-            let hint = "results of other programs are often a dictionary; in Python:\n  \
-                        found = numpy.load(path, allow_pickle=True).item()\n  \
+            let hint = "results of other programs are often a dictionary; in Python: \
+                        found = numpy.load(path, allow_pickle=True).item(); \
                         numpy.save(\"clip.npy\", found[\"motion\"][0].transpose(2, 0, 1).astype(\"<f4\"))";
             return Err(FileError::unusable(file, problem, hint));
         }

@@ -62,6 +62,9 @@ const MAX_METRES: f64 = 1e5;
 /// Most corners of a goal's polygons, which are checked by pairs of edges.
 const MOST_CORNERS: usize = 2000;
 
+/// Most discs of a goal, which are checked in each frame.
+const MOST_DISCS: usize = 1000;
+
 /// Largest weight.
 const MAX_WEIGHT: f64 = 1e9;
 
@@ -193,6 +196,12 @@ impl Goal {
         let allowed = format!("at most {MOST_CORNERS} corners");
         require(corners <= MOST_CORNERS, "obstacle", found, allowed)
             .hint("leave out corners that lie near the line between their neighbors")?;
+        let discs = self.obstacles.iter();
+        let discs = discs.filter(|obstacle| matches!(obstacle, Obstacle::Disc { .. }));
+        let (discs, allowed) = (discs.count(), format!("at most {MOST_DISCS} discs"));
+        let found = format!("a list of {discs} discs");
+        require(discs <= MOST_DISCS, "obstacle", found, allowed)
+            .hint("a polygon stands for many discs")?;
         for (index, obstacle) in self.obstacles.iter().enumerate() {
             obstacle.validate().within(&format!("obstacle[{index}]"))?;
         }

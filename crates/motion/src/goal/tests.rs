@@ -63,6 +63,19 @@ fn long_lists_are_refused_or_take_one_step_for_each_entry() {
         refused.contains("polygons with 302000 corners in all"),
         "{refused}"
     );
+    let disc = |x| Obstacle::Disc {
+        x,
+        z: 0.0,
+        radius: 0.1,
+    };
+    goal.obstacles = (0..1001).map(|index| disc(f64::from(index))).collect();
+    let refused = message(&goal);
+    assert!(
+        refused.contains("a list of 1001 discs, allowed: at most 1000 discs"),
+        "{refused}"
+    );
+    goal.obstacles.pop();
+    goal.validate().unwrap();
     goal.obstacles.clear();
     goal.keyframes = (0..MAX_FRAMES)
         .map(|frame| keyframe(frame, 0.0, 0.0))

@@ -11,7 +11,7 @@ use kinegrad_settings::require;
 use kinegrad_train::checkpoint::must_be_free;
 use kinegrad_train::config::{Config, OwnTables};
 use kinegrad_train::import::{ImportRequest, Imported, needed, size, skeleton_of};
-use kinegrad_train::published::{self, mean_and_deviation, part_of, read_tensors};
+use kinegrad_train::published::{self, mean_and_deviation, part_of, read_tensors, without_prefix};
 use kinegrad_train::{Error, Systems};
 use pytorch_reader::Tensor;
 
@@ -44,7 +44,10 @@ pub(super) fn import(request: &ImportRequest) -> Result<Imported, Error> {
     must_be_free(&request.out)?;
     let tensors = read_tensors(&request.weights)?;
     let inside = part_of(&tensors, "model");
-    let tensors = if inside.is_empty() { tensors } else { inside };
+    let tensors = match inside.is_empty() {
+        true => without_prefix(tensors, &[INPUT]),
+        false => inside,
+    };
     let (tensors, skipped) = needed(tensors, &TABLES);
     let (config, statistics) = settings(request, statistics, &tensors)?;
     let model = network(&config, &Device::flex())?;
@@ -54,6 +57,9 @@ pub(super) fn import(request: &ImportRequest) -> Result<Imported, Error> {
         ..Imported::write(request, &model, config, statistics)?
     })
 }
+
+/// A tensor of each network.
+const INPUT: &str = "input_process.poseEmbedding.weight";
 
 /// The network according to the shapes of the weights; `base` gives horizon and dropout.
 fn sizes(
@@ -65,7 +71,7 @@ fn sizes(
     let count =
         (0..).take_while(|layer| tensors.contains_key(&format!("{layers}.{layer}.0.0.weight")));
     let config = BlendedConfig {
-        latent_dim: size("input_process.poseEmbedding.weight", 0)?,
+        latent_dim: size(INPUT, 0)?,
         num_layers: count.count() / 2,
         num_heads: size(&format!("{layers}.0.1.to_q.weight"), 0)? / HEAD_CHANNELS,
         ff_size: size(&format!("{layers}.1.1.ff.0.0.weight"), 0)?,

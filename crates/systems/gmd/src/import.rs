@@ -11,7 +11,9 @@ use kinegrad_motion::humanml::{FeatureLayout, Root};
 use kinegrad_train::checkpoint::must_be_free;
 use kinegrad_train::config::{Config, OwnTables};
 use kinegrad_train::import::{ImportRequest, Imported, needed, size, skeleton_of};
-use kinegrad_train::published::{self, array, mean_and_deviation, part_of, read_tensors};
+use kinegrad_train::published::{
+    self, array, mean_and_deviation, part_of, read_tensors, without_prefix,
+};
 use kinegrad_train::{Error, Systems};
 use pytorch_reader::Tensor;
 
@@ -118,8 +120,14 @@ fn read_weights(
         (!inside.is_empty()).then_some((Some(part), inside))
     };
     let found = parts.into_iter().find_map(inside);
-    Ok(found.unwrap_or((None, all)))
+    Ok(found.unwrap_or_else(|| (None, without_prefix(all, &[UNET_OUTPUT, MDM_INPUT]))))
 }
+
+/// A tensor of each UNet.
+const UNET_OUTPUT: &str = "unet.final_conv.1.weight";
+
+/// A tensor of each encoder.
+const MDM_INPUT: &str = "input_process.poseEmbedding.weight";
 
 /// The network according to the shapes of the weights.
 struct Sizes {
@@ -135,7 +143,7 @@ impl Sizes {
         let lacking = |name| request.lacking(name, "a UNet of Guided Motion Diffusion");
         let adagn_name = "unet.downs.0.0.blocks.0.block1.0.weight";
         let plain_name = "unet.downs.0.0.blocks.0.block.0.weight";
-        let (output, inner) = ("unet.final_conv.1.weight", "unet.time_mlp.2.weight");
+        let (output, inner) = (UNET_OUTPUT, "unet.time_mlp.2.weight");
         let adagn = tensors.contains_key(adagn_name);
         let levels = (0..).map_while(|level| {
             let half = if adagn { "block1" } else { "block" };
@@ -177,7 +185,7 @@ impl Sizes {
             tensors.contains_key(&name)
         });
         let network = EncoderConfig {
-            latent_dim: size("input_process.poseEmbedding.weight", 0)?,
+            latent_dim: size(MDM_INPUT, 0)?,
             num_layers: layers.count(),
             ff_size: size("seqTransEncoder.layers.0.linear1.weight", 0)?,
             ..EncoderConfig::mdm()

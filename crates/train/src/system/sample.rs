@@ -1,5 +1,6 @@
 //! Sampling from requests.
 
+use kinegrad_output::cell;
 use kinegrad_settings::counted;
 
 use super::{System, Systems};
@@ -52,7 +53,10 @@ impl Systems<'_> {
         }
         Ok(match run.paths.is_empty() {
             true => summary,
-            false => Some(Summary::Text(run.paths.join("\n"))),
+            false => {
+                let lines = run.paths.iter().map(|path| cell(path));
+                Some(Summary::Text(lines.collect::<Vec<_>>().join("\n")))
+            }
         })
     }
 }

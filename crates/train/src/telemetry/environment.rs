@@ -1,7 +1,7 @@
 use std::path::Path;
 
 use burn::tensor::Device;
-use kinegrad_data::file::read_text;
+use kinegrad_data::file::{is_inside, read_text};
 use serde::{Deserialize, Serialize};
 use sysinfo::{CpuRefreshKind, MemoryRefreshKind, RefreshKind, System};
 
@@ -81,9 +81,14 @@ impl Environment {
     }
 }
 
-/// The environments of the run in `folder`, in order. Unreadable lines are skipped.
+/// The environments of the run in `folder`, in order. Unreadable lines are skipped, and a link out of
+/// the folder.
 pub fn read_environments(folder: &Path) -> Vec<Environment> {
-    let text = read_text(&folder.join(FILE)).unwrap_or_default();
+    let path = folder.join(FILE);
+    let text = match is_inside(folder, &path) {
+        Ok(true) => read_text(&path).unwrap_or_default(),
+        _ => String::new(),
+    };
     let lines = text.lines().map(serde_json::from_str);
     lines.filter_map(Result::ok).collect()
 }

@@ -8,6 +8,7 @@ use serde_json::{Map, Value};
 
 use super::EventFile;
 use super::appended::{Appended, now};
+use crate::run::must_be_inside;
 use crate::{Error, Preview};
 
 /// Name of the file in a run's folder.
@@ -216,6 +217,7 @@ fn parse(line: &[u8]) -> Option<Record> {
 /// If the file cannot be read.
 pub fn read_metrics(folder: &Path, warn: &mut dyn FnMut(&str)) -> Result<Vec<Record>, Error> {
     let path = folder.join(FILE);
+    must_be_inside(folder, FILE)?;
     let (mut records, mut damaged) = (Vec::new(), DamagedLines::default());
     let read = each_line(&path, |line, number| {
         match parse(line) {

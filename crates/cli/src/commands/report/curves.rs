@@ -1,7 +1,12 @@
 //! The curves of a training run.
 
+use std::collections::HashSet;
+
 use kinegrad_report::Panel;
 use kinegrad_train::telemetry::Record;
+
+/// Most scalars that are shown.
+const MOST_NAMES: usize = 200;
 
 /// Scalars that measure time.
 const CLOCK: [&str; 2] = ["time", "elapsed_seconds"];
@@ -25,12 +30,16 @@ pub type Metrics<'a> = (&'a str, &'a [Record]);
 /// All scalars of runs over steps. Of one run, related scalars share a chart, and the terms of a loss
 /// are shown if there are several. Of several runs, each scalar has a chart with a curve per run.
 pub fn charts(runs: &[Metrics<'_>]) -> Vec<Panel> {
-    let mut names: Vec<&str> = Vec::new();
+    let (mut names, mut known) = (Vec::new(), HashSet::new());
     let records = runs.iter().flat_map(|(_, records)| *records);
     for (name, _) in records.flat_map(|record| &record.scalars) {
-        if !names.contains(&name.as_str()) && !CLOCK.contains(&name.as_str()) {
-            names.push(name);
+        if !CLOCK.contains(&name.as_str()) && known.insert(name.as_str()) {
+            names.push(name.as_str());
         }
+    }
+    if names.len() > MOST_NAMES {
+        tell!("note: {MOST_NAMES} of {} metrics are shown", names.len());
+        names.truncate(MOST_NAMES);
     }
     // Colors and places do not depend on the first record.
     let place = |name: &&str| ORDER.iter().position(|known| known == name);
@@ -136,6 +145,16 @@ mod tests {
             ("mine", vec!["mine"]),
         ];
         assert_eq!(shown, expected);
+    }
+
+    #[test]
+    fn of_very_many_scalars_the_first_are_shown() {
+        let named = |record: Record, index| record.with(format!("mine {index}"), 1.0);
+        let record = (0..1000).fold(Record::new(1).with("loss", 2.0), named);
+        let titles = charts(&[("run", &[record])]);
+        let titles: Vec<&str> = titles.iter().map(Panel::title).collect();
+        assert_eq!(titles.len(), MOST_NAMES);
+        assert_eq!(titles[..2], ["loss", "mine 0"]);
     }
 
     #[test]
