@@ -9,12 +9,15 @@ pub(crate) fn furthest_from_real(samples: &Column, real: &Column) -> Option<Stri
     let near = near.filter(|(_, number)| number.better == Some(Better::NearReal));
     let ratios = near.filter_map(|(group, number)| {
         let real = real.number(group.key, &number.name)?.value?;
-        let title = &number.line.as_ref()?.0;
-        Some((title.split(", ").next()?, ratio(number.value?, real)?))
+        let title = number.line.as_ref()?.0.split(", ").next()?;
+        let of = match group.title {
+            "" => String::new(),
+            of => format!(" ({})", of.to_lowercase()),
+        };
+        Some((format!("{title}{of}"), ratio(number.value?, real)?))
     });
-    let ratios: Vec<(&str, f64)> = ratios.collect();
     let far = |ratio: f64| ratio.ln().abs();
-    let furthest = ratios.iter().max_by(|a, b| far(a.1).total_cmp(&far(b.1)));
+    let furthest = ratios.max_by(|a, b| far(a.1).total_cmp(&far(b.1)));
     let (title, ratio) = furthest?;
     Some(format!(
         "furthest from real motion: {title}, {ratio:.2} times real"
@@ -53,6 +56,10 @@ mod tests {
     use super::*;
 
     fn column(values: [Option<f64>; 4]) -> Column {
+        column_of("", values)
+    }
+
+    fn column_of(title: &'static str, values: [Option<f64>; 4]) -> Column {
         let [error, rate, jerk, speed] = values;
         let numbers = Number::list([
             ("error", error, ", m"),
@@ -67,11 +74,10 @@ mod tests {
             ("speed", Better::NearReal),
         ];
         let numbers = Number::mark(numbers, &main);
-        let (key, title) = ("samples", "");
         Column {
             facts: Vec::new(),
             groups: vec![Group {
-                key,
+                key: "samples",
                 title,
                 numbers,
             }],
@@ -93,5 +99,9 @@ mod tests {
         let expected = "furthest from real motion: jerk, 0.50 times real";
         assert_eq!(said.as_deref(), Some(expected));
         assert_eq!(furthest_from_real(&one, &column([None; 4])), None);
+        let raw = column_of("RAW", [None, None, Some(30.0), None]);
+        let said = furthest_from_real(&raw, &real);
+        let expected = "furthest from real motion: jerk (raw), 0.50 times real";
+        assert_eq!(said.as_deref(), Some(expected));
     }
 }
