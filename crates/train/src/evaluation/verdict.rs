@@ -31,23 +31,30 @@ pub fn best_columns(columns: &[&Column], real: &[&Column]) -> Vec<Vec<usize>> {
         return Vec::new();
     };
     let of_measure = |(group, number): (&super::Group, &super::Number)| {
-        let badness = columns.iter().zip(real).map(|(column, real)| {
-            let value = column.number(group.key, &number.name)?.value;
-            let real = real.number(group.key, &number.name);
-            let real = real.and_then(|number| number.value);
-            number.better?.badness(value, real)
-        });
-        let badness: Option<Vec<f64>> = badness.collect();
-        let badness = badness.unwrap_or_default();
-        let best = badness.iter().copied().fold(f64::INFINITY, f64::min);
-        let places = (0..badness.len()).filter(|&place| badness[place] == best);
-        let places: Vec<usize> = places.collect();
-        match places.len() == badness.len() {
-            true => Vec::new(),
-            false => places,
-        }
+        let value = |column: &Column| column.number(group.key, &number.name)?.value;
+        let values = columns.iter().zip(real);
+        let values = values.map(|(column, real)| [value(column), value(real)]);
+        let better = number.better.expect("a main measure");
+        best_places(better, &values.collect::<Vec<_>>())
     };
     first.main().map(of_measure).collect()
+}
+
+/// The places of the best of several values of a measure, each with the value of real motion; empty
+/// where values tie or are missing.
+pub fn best_places(better: Better, values: &[[Option<f64>; 2]]) -> Vec<usize> {
+    let badness = values
+        .iter()
+        .map(|[value, real]| better.badness(*value, *real));
+    let badness: Option<Vec<f64>> = badness.collect();
+    let badness = badness.unwrap_or_default();
+    let best = badness.iter().copied().fold(f64::INFINITY, f64::min);
+    let places = (0..badness.len()).filter(|&place| badness[place] == best);
+    let places: Vec<usize> = places.collect();
+    match places.len() == badness.len() {
+        true => Vec::new(),
+        false => places,
+    }
 }
 
 #[cfg(test)]

@@ -48,7 +48,7 @@ pub fn table(labels: &[String], all: &[Evaluated], width: Option<usize>) -> Stri
         header.extend((!same).then(|| format!("real ({label})")));
     }
     header.extend(same.then(|| "real".to_owned()));
-    header.push("better".to_owned());
+    header.push(super::BETTER.to_owned());
     let mut rows = vec![header];
     let best = best(all);
     // Without the interval or the range, in brackets.
