@@ -287,11 +287,22 @@ fn the_verdict_comes_first_and_the_main_measures_have_directions() {
         row.split('|').map(str::trim).collect::<Vec<_>>()
     };
     assert_eq!(row("|")[1..], ["smallest", "real", "better"]);
-    assert_eq!(row("strict: all")[3], "higher");
+    assert_eq!(row("processed: strict: all")[3], "higher");
     assert_eq!(row("raw: strict: all")[3], "higher");
-    assert_eq!(row("beat-phase error, beats")[3], "lower");
-    assert!(row("beat-phase error, beats")[2].starts_with("0.000"));
-    assert_eq!(row("diversity")[3], "near real");
+    assert_eq!(row("processed: beat-phase error, beats")[3], "lower");
+    assert!(row("processed: beat-phase error, beats")[2].starts_with("0.000"));
+    assert_eq!(row("processed: diversity")[3], "near real");
+    // Each row and each sentence about movement names the samples that it is about.
+    let rows = lines.iter().filter(|line| line.contains('|'));
+    for row in rows.skip(1) {
+        let of = ["processed: ", "raw: "];
+        assert!(
+            of.iter().any(|of| row.trim_start().starts_with(of)),
+            "{row}"
+        );
+    }
+    assert!(lines[0].contains(" of the processed samples are within"));
+    assert!(lines[2].contains(" (processed), "), "{}", lines[2]);
     let json = read(
         &sandbox,
         "runs/smallest/reports/eval-num_inference_steps=2.json",

@@ -369,3 +369,38 @@ fn what_cannot_be_matched_is_refused_and_leaves_nothing() {
     }
     assert_eq!(sandbox.list("."), before);
 }
+
+#[test]
+fn a_motion_far_livelier_than_its_examples_is_named_unusable() {
+    let sandbox = sandbox();
+    // A hundred metres from one key frame to the next.
+    let frame = |time: f64, place: f64| {
+        format!("[[keyframe]]\ntime = {time}\nsource_time = 1.0\nplace = [{place}, 0.0]\n")
+    };
+    sandbox.write("far.toml", frame(4.0, 0.0) + &frame(4.2, 10000.0));
+    let line = "match dance.bvh --keyframes far.toml --out new.bvh --svg new.svg";
+    let said = sandbox.run(line).failed(
+        1,
+        &[
+            "warning: fastest joint ",
+            ", frame 12",
+            "this motion is not usable",
+            "1 motion is not usable, named `.unusable`",
+            "to play: kinegrad view new.unusable.bvh",
+        ],
+    );
+    let names = ["new.unusable.bvh", "new.unusable.json", "new.unusable.svg"];
+    assert_eq!(said.stdout, names.join("\n") + "\n");
+    assert!(!sandbox.path("new.bvh").exists() && !sandbox.path("new.svg").exists());
+    sandbox
+        .run(line)
+        .failed(2, &["new.unusable.bvh exists already", "--overwrite"]);
+    let allowed = "match dance.bvh --keyframes far.toml --out anyway.bvh --allow-unusable --json";
+    let record = sandbox.run(allowed).succeeded().stdout;
+    let record: serde_json::Value = serde_json::from_str(&record).expect("JSON");
+    assert_eq!(record["far"], true);
+    assert!(sandbox.path("anyway.bvh").is_file());
+    let usual = sandbox.run("match dance.bvh --out usual.bvh --json");
+    let record: serde_json::Value = serde_json::from_str(&usual.succeeded().stdout).expect("JSON");
+    assert_eq!(record["far"], false);
+}

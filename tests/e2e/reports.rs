@@ -491,6 +491,70 @@ fn runs_are_plotted_and_reported_together() {
 }
 
 #[test]
+fn evaluations_of_several_runs_are_compared() {
+    let sandbox = sandbox();
+    for (name, seed) in [("one", 1), ("two", 2)] {
+        let train =
+            format!("train c.toml --name {name} --set train.max_steps=3 --set run.seed={seed}");
+        sandbox.run(&train).succeeded();
+    }
+    let eval = |run: &str, settings: &str| {
+        let steps = "--steps 2 --set evaluation.phrases=1";
+        sandbox
+            .run(&format!("eval runs/{run} {steps} {settings}"))
+            .succeeded();
+    };
+    eval("one", "");
+    eval("two", "");
+    eval("two", "--seed 3");
+    eval("one", "--audio-ablation --set evaluation.seeds=1");
+    let page = page(&sandbox, "runs/one runs/two", "runs/comparison.html");
+    let section = page.split("<h2>Evaluation</h2>").nth(1).expect("a section");
+    let section = section.split("</section>").next().expect("its end");
+    let tables: Vec<&str> = section.split("<h3>").skip(1).collect();
+    let header = |table: &str| {
+        let header = table.split("<thead><tr>").nth(1).expect("a header");
+        let header = header.split("</tr>").next().expect("its end");
+        let cells = header.split("<th class=\"").skip(1);
+        let cells = cells.map(|cell| cell.split(['>', '<']).nth(1).expect("a text").to_owned());
+        cells.collect::<Vec<_>>()
+    };
+    // The evaluation of both runs, the ablation of one, and the evaluation with another seed.
+    let headers: Vec<_> = tables.iter().map(|table| header(table)).collect();
+    assert_eq!(headers[0], ["measure", "one", "two", "real", "better"]);
+    assert_eq!(headers[1], ["measure", "one", "real", "better"]);
+    assert_eq!(headers[2], ["measure", "two", "real", "better"]);
+    assert_eq!(tables.len(), 3);
+    holds(tables[1], &["Not evaluated with these settings: two."]);
+    holds(tables[2], &["Settings: seed = &quot;3&quot;."]);
+    holds(tables[2], &["Not evaluated with these settings: one."]);
+    let both = tables[0];
+    holds(both, &["one: ", "two: ", "every measure"]);
+    // Direction and best value of a measure whose values differ.
+    let rows: Vec<&str> = both
+        .lines()
+        .filter(|row| row.contains("path_speed.median"))
+        .collect();
+    let row = rows.first().expect("a main measure");
+    assert!(row.contains(">near real</td>"), "{row}");
+    assert_eq!(row.matches("good").count(), 1, "{row}");
+    assert_eq!(row.matches(">* ").count(), 1, "{row}");
+    // The best one is that of `eval`.
+    let said = sandbox.run("eval runs/one runs/two --steps 2 --set evaluation.phrases=1");
+    let said = said.succeeded().stdout;
+    let line = said
+        .lines()
+        .find(|line| line.contains("mean speed along the path"));
+    let cells: Vec<&str> = line.expect(&said).split('|').collect();
+    let best = cells[1..3].iter().position(|cell| cell.contains('*'));
+    let shown = row
+        .split("</td>")
+        .skip(1)
+        .position(|cell| cell.contains(">* "));
+    assert_eq!(shown, best, "{row} {cells:?}");
+}
+
+#[test]
 fn joints_of_any_skeleton_and_captures_are_plotted_and_not_checked() {
     let sandbox = sandbox();
     let plot = |arguments: &str| {

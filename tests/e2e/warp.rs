@@ -274,3 +274,45 @@ fn what_cannot_be_warped_is_refused_and_nothing_is_written() {
     let left = sandbox.list(".");
     assert!(!left.iter().any(|name| name.starts_with("no.")), "{left:?}");
 }
+
+#[test]
+fn a_motion_far_out_of_bounds_is_named_unusable() {
+    let sandbox = sandbox();
+    let line = "warp walk.features.npy --path line.toml --out line";
+    sandbox.run(line).succeeded();
+    // A wrist that jumps.
+    let mut places = frames(&sandbox, "line.npy");
+    for frame in &mut places[20..] {
+        frame[20][1] += 3.0;
+    }
+    let values: Vec<f32> = places.concat().into_iter().flatten().collect();
+    write_values(&sandbox.path("jump.npy"), &[places.len(), 22, 3], &values).expect("written");
+    let line = "warp jump.npy --path line.toml --out far";
+    let said = sandbox.run(line).failed(
+        1,
+        &[
+            "warning: the moved motion is out of bounds: fastest_joint: ",
+            "in frame 20, joint left_wrist",
+            "this motion is not usable",
+            "1 motion is not usable, named `.unusable`",
+            "`--allow-unusable` gives it its usual name",
+            "to play: kinegrad view far.unusable.npy",
+        ],
+    );
+    let names = [".npy", ".features.npy", ".bvh", ".json"];
+    let names = names.map(|ending| format!("far.unusable{ending}"));
+    assert_eq!(said.stdout, names.join("\n") + "\n");
+    for name in &names {
+        assert!(sandbox.path(name).is_file(), "{name}");
+    }
+    assert!(!sandbox.path("far.npy").exists());
+    // They are not replaced either.
+    sandbox
+        .run(line)
+        .failed(2, &["far.unusable.npy exists already", "--overwrite"]);
+    let allowed = "warp jump.npy --path line.toml --out anyway --allow-unusable --json";
+    let record = sandbox.run(allowed).succeeded().stdout;
+    let record: Value = serde_json::from_str(&record).expect("JSON");
+    assert_eq!(record["body"]["far"], true);
+    assert!(sandbox.path("anyway.npy").is_file());
+}

@@ -201,7 +201,11 @@ impl Job {
         }
         let originals = matrices.iter().map(|matrix| layout.to_bvh(matrix));
         let originals: Vec<Bvh> = originals.collect::<Result<_, _>>()?;
-        let reference = Reference::new(&layout, &originals).expect("examples have frames");
+        let others = condition_matrices.iter();
+        let others = others.map(|matrix| layout.to_bvh(matrix));
+        let others: Vec<Bvh> = others.collect::<Result<_, _>>()?;
+        let reference = Reference::new(&layout, &originals, &others);
+        let reference = reference.expect("examples have frames");
         let is_loop = self.settings.looping != Looping::Off;
         let is_repeatable = content.is_none() && fixed.is_empty();
         let adapts = self.adapts && is_repeatable;

@@ -40,13 +40,16 @@ pub fn jerks(bvh: &Bvh) -> Vec<f64> {
     let world: Vec<Vec<RootPose>> = (0..bvh.frames()).map(|t| bvh.world(t)).collect();
     let jerk = |four: &[Vec<RootPose>]| {
         let joints = four[0].len();
-        let of = |joint: usize| {
-            let [a, b, c, d] = [0, 1, 2, 3].map(|t| four[t][joint].position);
-            length([0, 1, 2].map(|i| d[i] - 3.0 * c[i] + 3.0 * b[i] - a[i]))
-        };
-        (0..joints).map(of).sum::<f64>() / joints as f64
+        let all = (0..joints).map(|joint| third_difference(four, joint));
+        all.sum::<f64>() / joints as f64
     };
     world.windows(4).map(jerk).collect()
+}
+
+/// Length of the third difference of a joint's position over four frames, in file units.
+pub(crate) fn third_difference(four: &[Vec<RootPose>], joint: usize) -> f64 {
+    let [a, b, c, d] = [0, 1, 2, 3].map(|t| four[t][joint].position);
+    length([0, 1, 2].map(|i| d[i] - 3.0 * c[i] + 3.0 * b[i] - a[i]))
 }
 
 /// The 95th percentile; 0 of no values.

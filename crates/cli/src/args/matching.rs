@@ -91,6 +91,9 @@ pub struct MatchArguments {
     /// Lock feet while the examples' feet stand
     #[arg(long, conflicts_with = "looping")]
     pub lock_feet: bool,
+    /// Write motion that is far livelier than the examples under its usual name, and exit with 0
+    #[arg(long)]
+    pub allow_unusable: bool,
     /// Axis of the files that points up: y or z [default: guessed from the feet]
     #[arg(long, value_parser = named::<UpAxis>, value_name = "AXIS")]
     pub up: Option<UpAxis>,

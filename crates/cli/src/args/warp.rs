@@ -44,6 +44,10 @@ pub struct WarpArguments {
     /// Lock the motion's standing feet by two-bone inverse kinematics
     #[arg(long)]
     pub lock_feet: bool,
+    /// Write motion that is far out of the bounds of captured people under its usual name, and exit
+    /// with 0
+    #[arg(long)]
+    pub allow_unusable: bool,
     /// Meters per unit of a drawing
     #[arg(long, value_name = "METRES")]
     pub metres_per_unit: Option<f64>,

@@ -21,6 +21,9 @@ use crate::progress::Denoising;
 use crate::ranks::{agreed, guarded, process_group};
 use reports::{Reports, Settings};
 
+/// Header of the column of directions, the last one of tables.
+pub const BETTER: &str = "better";
+
 /// Evaluates each run, writes the reports and prints them.
 pub fn run(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, Error> {
     let group = process_group()?;
@@ -107,8 +110,9 @@ fn evaluate(
     let each = reports.iter().zip(each);
     let each = each.filter(|_| group.writes());
     let written = each.map(|(reports, each)| {
-        let csv = columns_csv(["samples", "measure"], &columns(runs, each, true));
-        reports.write(each, &csv)
+        let mut columns = columns(runs, each, true);
+        columns.push(directions(each));
+        reports.write(each, &columns_csv(["samples", "measure"], &columns))
     });
     let written: Vec<String> = group.done(written.collect())?;
     if !group.writes() {
@@ -218,6 +222,26 @@ fn columns<'a>(paths: &[PathBuf], all: &'a [Evaluated], in_full: bool) -> Vec<Co
         columns.push(column("real".into(), &all[0].real));
     }
     columns
+}
+
+/// The column of the main measures' directions.
+fn directions(all: &[Evaluated]) -> Column<'_> {
+    let mut sections = sections(&all[0].samples, true);
+    for (index, (_, cells)) in sections.iter_mut().enumerate() {
+        cells.clear();
+        // Runs differ in the guidance scales that measures are named by.
+        let groups = all
+            .iter()
+            .filter_map(|each| each.samples.groups.get(index.checked_sub(1)?));
+        for number in groups.flat_map(|group| &group.numbers) {
+            let better = number.better.map(|better| better.name().to_owned());
+            cells.extend(better.map(|better| (number.name.as_str(), Some(better))));
+        }
+    }
+    Column {
+        label: BETTER.into(),
+        sections,
+    }
 }
 
 /// Facts, then groups of measures: all numbers in full, or the main numbers as shown in tables.

@@ -8,7 +8,9 @@ use kinegrad_report::check_ending;
 use kinegrad_train::{Error, Systems};
 
 use crate::args::MatchArguments;
-use crate::io::{Content, file_stem, is_bvh, must_be_new, unit_and_axis, write_all};
+use crate::io::{
+    Content, exit_code, file_stem, is_bvh, must_be_new, unit_and_axis, unusable_path, write_all,
+};
 use crate::output::unusable;
 use crate::{folder, interrupt, output};
 
@@ -18,6 +20,10 @@ mod record;
 
 use motions::{Motion, is_clip};
 use record::Record;
+
+/// Advice about a motion that is not usable.
+const ADVICE: &str = "match again with another `--seed` or a higher `--coherence`, and move key frames \
+                      apart";
 
 /// Generates a motion from examples.
 pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, Error> {
@@ -39,11 +45,14 @@ pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, 
     let metres_per_unit = unit_and_axis(&examples[0].bvh, None, Some(job.up)).0;
     let record = Record::new(&arguments, &made, metres_per_unit);
     let described = serde_json::to_string_pretty(&record).expect("plain data") + "\n";
-    let outputs = [
-        Some(&arguments.out),
-        Some(&record_path),
-        arguments.svg.as_ref(),
-    ];
+    let is_unusable = record.is_far() && !arguments.allow_unusable;
+    let named = |path: &PathBuf| match is_unusable {
+        true => unusable_path(path),
+        false => path.clone(),
+    };
+    let (out, record_path) = (named(&arguments.out), named(&record_path));
+    let svg = arguments.svg.as_ref().map(named);
+    let outputs = [Some(&out), Some(&record_path), svg.as_ref()];
     for path in outputs.into_iter().flatten() {
         folder::must_be_writable(path)?;
     }
@@ -52,11 +61,11 @@ pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, 
         None => Content::Text(made.bvh.to_text()),
     };
     let written = [
-        (arguments.out.clone(), content),
+        (out.clone(), content),
         (record_path.clone(), Content::Text(described)),
     ];
     interrupt::not_during(|| {
-        if let Some(svg) = &arguments.svg {
+        if let Some(svg) = &svg {
             let names = arguments.examples.iter().map(|path| file_stem(path));
             picture::draw(&made, &names.collect::<Vec<_>>(), metres_per_unit, svg)?;
         }
@@ -73,9 +82,9 @@ pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, 
     }
     record.warn();
     if !arguments.json {
-        output::how_to_view(std::slice::from_ref(&arguments.out), None);
+        output::how_to_view(std::slice::from_ref(&out), None);
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(exit_code(is_unusable.into(), "motion", ADVICE))
 }
 
 /// The error for a clip as output of an example that is not a clip.
@@ -103,8 +112,10 @@ fn check_outputs(arguments: &MatchArguments, record: &PathBuf) -> Result<(), Err
     }
     let outputs = [Some(out), Some(record), arguments.svg.as_ref()];
     let outputs = outputs.into_iter().flatten();
+    let unusable = outputs.clone().map(|path| unusable_path(path));
+    let outputs: Vec<PathBuf> = outputs.cloned().chain(unusable).collect();
     let read = files_read(arguments);
-    must_be_new(outputs, &read, arguments.overwrite, "--out")
+    must_be_new(&outputs, &read, arguments.overwrite, "--out")
 }
 
 /// The input files of a motion.

@@ -2,6 +2,7 @@
 
 mod comparison;
 pub mod curves;
+mod evaluation;
 mod facts;
 mod previews;
 mod samples;
@@ -10,16 +11,13 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use kinegrad_data::file::{is_inside, read_text};
-use kinegrad_report::page::{Block, Cell, Page, Section, Table, Tone, csv_table, html};
-use kinegrad_train::run::REPORTS;
+use kinegrad_report::page::{Block, Cell, Page, Section, Tone, html};
 use kinegrad_train::telemetry::{Record, read_environments, read_metrics};
 use kinegrad_train::{Error, Systems, config};
 
-use serde_json::Value;
-
 use crate::args::ReportArguments;
 use crate::folder;
-use crate::io::{file_stem, files_in};
+use crate::io::files_in;
 use crate::runs::{Run, RunStatus, folder_name, is_run};
 
 /// Writes a page about a run, or a comparison of several.
@@ -96,7 +94,11 @@ fn page(systems: Systems<'_>, run: &Run, stages: &[Run]) -> Page {
     if samples.blocks.is_empty() {
         sections.push(previews::section(run));
     }
-    sections.extend([samples, evaluation(&run.folder)]);
+    let name = folder_name(&run.folder);
+    sections.extend([
+        samples,
+        evaluation::section(std::slice::from_ref(run), &[name]),
+    ]);
     sections.extend(stages.iter().map(stage_section));
     let mut machine = Section::new("Hardware and versions");
     machine.add(Block::Facts(facts::machine(run, last)));
@@ -174,91 +176,6 @@ fn own_files(run: &Path, folder: &str, endings: &[&str], section: &mut Section) 
         section.add(Block::Warning(text));
     }
     own
-}
-
-/// The reports of `kinegrad eval`.
-fn evaluation(run: &Path) -> Section {
-    let mut section = Section::new("Evaluation");
-    for path in own_files(run, REPORTS, &["csv", "json"], &mut section) {
-        let name = file_stem(&path);
-        let is_csv = path.extension().is_some_and(|ending| ending == "csv");
-        let text = match read_text(&path) {
-            Ok(text) => text,
-            Err(error) => {
-                section.add(Block::Warning(format!("{}: {error}", path.display())));
-                continue;
-            }
-        };
-        match csv_table(&text).filter(|table| is_csv && !table.rows.is_empty()) {
-            Some(table) => {
-                section.add(Block::Heading(name));
-                let main_rows = main_rows(&table);
-                let complete = main_rows.rows.len() == table.rows.len();
-                section.add(Block::Table(main_rows));
-                if !complete {
-                    section.add(Block::Folded("every measure".into(), table));
-                }
-            }
-            None if is_csv => {
-                section.add(Block::Warning(format!("{} is not a table", path.display())));
-            }
-            None => {
-                verdicts(&text).for_each(|said| section.add(Block::Text(said)));
-                section.add(Block::Source(format!("{name}.json"), text));
-            }
-        }
-    }
-    section
-}
-
-/// The verdicts in a report of `kinegrad eval`: each with the run's name.
-fn verdicts(report: &str) -> impl Iterator<Item = String> {
-    let report: Value = serde_json::from_str(report).unwrap_or_default();
-    let evaluations = report["evaluations"].as_array().cloned();
-    let evaluations = evaluations.unwrap_or_default().into_iter();
-    evaluations.flat_map(|each| {
-        let run = each["run"].as_str().unwrap_or_default().to_owned();
-        let said = each["verdict"].as_array().cloned().unwrap_or_default();
-        let said = said
-            .into_iter()
-            .filter_map(|said| said.as_str().map(String::from));
-        said.map(move |said| format!("{run}: {said}"))
-    })
-}
-
-/// The main measures: names without a dot, means with their intervals, and pass rates.
-fn main_rows(table: &Table) -> Table {
-    let name = |row: &[Cell]| row.first().map_or("", |cell| &cell.text).to_owned();
-    let rows = table.rows.iter().enumerate().filter_map(|(place, row)| {
-        if row.len() == 1 {
-            return Some(row.clone());
-        }
-        let full = name(row);
-        let parts = full.split('.').count();
-        let Some(of_mean) = full.strip_suffix(".mean") else {
-            let is_main = parts == 1 || parts == 2 && full.ends_with("pass_rate");
-            return is_main.then(|| row.clone());
-        };
-        let end = |place: usize, end: &str| {
-            let row = table.rows.get(place)?;
-            (name(row) == format!("{of_mean}.{end}")).then_some(row)
-        };
-        let ends = end(place + 1, "low").zip(end(place + 2, "high"));
-        let cells = row.iter().enumerate().skip(1).map(|(column, mean)| {
-            let ends = ends.and_then(|(low, high)| low.get(column).zip(high.get(column)));
-            match ends.filter(|(low, _)| !low.text.is_empty()) {
-                Some((low, high)) => {
-                    Cell::from(format!("{} ({} to {})", mean.text, low.text, high.text))
-                }
-                None => mean.clone(),
-            }
-        });
-        Some(std::iter::once(Cell::from(of_mean)).chain(cells).collect())
-    });
-    Table {
-        header: table.header.clone(),
-        rows: rows.collect(),
-    }
 }
 
 /// The resolved config.

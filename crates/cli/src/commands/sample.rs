@@ -10,7 +10,7 @@ use kinegrad_train::{Error, ProcessGroup, Systems, TrainedModel};
 use serde::Serialize;
 
 use crate::args::{SampleArguments, SamplerArguments};
-use crate::io::{Files, Written};
+use crate::io::{Files, Written, exit_code};
 use crate::{interrupt, output};
 
 /// Generates motion and writes it to files.
@@ -76,18 +76,8 @@ fn sample(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, 
             output::how_to_view(&files.motions, goal.as_deref());
         }
     }
-    if files.unusable == 0 {
-        return Ok(ExitCode::SUCCESS);
-    }
-    tell!(
-        "{} not usable, named `.unusable`: train longer, or sample again with another `--seed`; \
-         `--allow-unusable` gives them their usual names",
-        match files.unusable {
-            1 => "1 sample is".to_owned(),
-            all => format!("{all} samples are"),
-        }
-    );
-    Ok(ExitCode::FAILURE)
+    let advice = "train longer, or sample again with another `--seed`";
+    Ok(exit_code(files.unusable, "sample", advice))
 }
 
 /// All samples, for programs.

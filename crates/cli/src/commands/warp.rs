@@ -1,5 +1,6 @@
 //! `kinegrad warp`
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -18,8 +19,8 @@ use serde::Serialize;
 
 use crate::args::WarpArguments;
 use crate::io::{
-    BvhReading, Content, MotionArray, bvh_file, is_bvh, must_be_new, read_body, stem, with_ending,
-    write_all,
+    BvhReading, Content, MotionArray, bvh_file, exit_code, is_bvh, must_be_new, read_body, stem,
+    unusable_stem, with_ending, write_all,
 };
 use crate::output::unusable;
 use crate::{folder, interrupt, output};
@@ -32,6 +33,9 @@ const LONGEST_STRIDE: f64 = 1.5;
 
 /// Largest missing leg length that causes no warning, meters.
 const LEGS_SHORT: f64 = 0.02;
+
+/// Advice about a motion that is not usable.
+const ADVICE: &str = "leave out `--sharp`, give a path with wider turns, or a motion without jumps";
 
 /// The record of a warp.
 #[derive(Serialize)]
@@ -74,7 +78,8 @@ struct Feet {
 /// Moves a motion onto a path.
 pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, Error> {
     interrupt::end_between_files();
-    let outputs = outputs(&arguments)?;
+    let stem = stem(&arguments.out)?;
+    must_be_free(&arguments, &stem)?;
     let (text, plan) = read_path(&arguments)?;
     let reading = BvhReading::of(&arguments.bvh);
     let (joints, skeleton) = read_motion(systems, &arguments.motion, &reading)?;
@@ -144,6 +149,11 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         body: MeasuresRecord::of(&moved, &skeleton, &Statistics::default()),
         path_content: plan,
     };
+    let is_unusable = record.body.far && !arguments.allow_unusable;
+    let outputs = outputs(&match is_unusable {
+        true => unusable_stem(&stem),
+        false => stem,
+    });
     for path in &outputs {
         folder::must_be_writable(path)?;
     }
@@ -161,7 +171,7 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
     if !arguments.json {
         output::how_to_view(&outputs[..1], None);
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(exit_code(is_unusable.into(), "motion", ADVICE))
 }
 
 /// Refuses a path that a motion of `joints` would only reach by sliding.
@@ -188,13 +198,15 @@ fn must_be_in_reach(joints: &Joints, length: f64, speed_ratio: f64) -> Result<()
 }
 
 /// Output files: joints, features, BVH and record.
-fn outputs(arguments: &WarpArguments) -> Result<[PathBuf; 4], Error> {
-    let stem = stem(&arguments.out)?;
-    let outputs = [".npy", ".features.npy", ".bvh", ".json"];
-    let outputs = outputs.map(|ending| with_ending(&stem, ending));
+fn outputs(stem: &OsStr) -> [PathBuf; 4] {
+    [".npy", ".features.npy", ".bvh", ".json"].map(|ending| with_ending(stem, ending))
+}
+
+/// Refuses outputs that exist or are also inputs.
+fn must_be_free(arguments: &WarpArguments, stem: &OsStr) -> Result<(), Error> {
+    let all = [outputs(stem), outputs(&unusable_stem(stem))].concat();
     let read = [arguments.motion.clone(), arguments.path.clone()];
-    must_be_new(&outputs, &read, arguments.overwrite, "--out")?;
-    Ok(outputs)
+    must_be_new(&all, &read, arguments.overwrite, "--out")
 }
 
 /// The text of the path's file, and the path.

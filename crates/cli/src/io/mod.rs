@@ -5,6 +5,7 @@ mod find;
 mod motion;
 mod outputs;
 mod samples;
+mod unusable;
 
 pub use bvh::{
     BvhReading, CENTIMETRES, Capture, as_bvh, bvh_file, bvh_text, is_bvh, is_foot, names,
@@ -14,3 +15,4 @@ pub use find::{file_stem, files_in, has_extension, is_companion, motion_files, w
 pub use motion::{Motion, MotionArray, not_finite};
 pub use outputs::{Content, must_be_new, stem, with_ending, write_all};
 pub use samples::{Files, Written, must_be_finite};
+pub use unusable::{exit_code, unusable_path, unusable_stem};

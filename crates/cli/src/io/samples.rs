@@ -11,14 +11,12 @@ use serde::Serialize;
 
 use super::bvh::{bvh_file, bvh_text};
 use super::outputs::{Content, stem, with_ending, write_all};
+use super::unusable::UNUSABLE;
 use crate::interrupt;
 use crate::progress::Denoising;
 
 /// Extension of a sample's record.
 const RECORD: &str = ".json";
-
-/// Ending of the names of samples that are [not usable](Record::is_usable).
-const UNUSABLE: &str = ".unusable";
 
 /// A sample that was written.
 #[derive(Serialize)]
@@ -40,7 +38,7 @@ pub struct Files {
     is_silent: bool,
     /// Gives all samples their usual names.
     pub(crate) allows_unusable: bool,
-    /// Number of samples that are not usable.
+    /// Number of samples that are [not usable](Record::is_usable).
     pub(crate) unusable: usize,
     /// Collects the samples in `collected` instead of printing their files.
     pub(crate) collects: bool,

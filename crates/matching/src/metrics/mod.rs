@@ -2,6 +2,7 @@
 
 mod movement;
 mod novelty;
+mod quality;
 mod seam;
 mod sliding;
 mod windows;
@@ -10,9 +11,10 @@ use serde::Serialize;
 
 use crate::Frames;
 
+pub use movement::Movement;
 pub(crate) use movement::Reference;
-pub use movement::{Movement, Quality};
 pub use novelty::{Novelty, Run};
+pub use quality::Quality;
 pub use seam::Seam;
 pub use sliding::Sliding;
 use windows::{cheapest, segmented};

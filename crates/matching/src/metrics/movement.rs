@@ -4,6 +4,8 @@ use kinegrad_capture::{Bvh, RootPose};
 use kinegrad_motion::vector::length;
 use serde::Serialize;
 
+use super::quality::{Liveliest, Quality};
+use crate::limit_jerk::third_difference;
 use crate::{MotionMatrix, feet, jerks, percentile_95};
 
 /// Height above the floor of a low toe, in body heights.
@@ -12,19 +14,6 @@ const LOW: f64 = 0.03;
 const FLOOR: f64 = 0.05;
 /// Speed of a still frame, as a part of the examples' median.
 const STILL: f64 = 0.1;
-/// Largest ratios to the examples.
-const TOE: f64 = 1.3;
-const JERK: f64 = 1.5;
-const FASTEST: f64 = 1.5;
-const TURN: f64 = 2.0;
-/// Largest excess of the share of still frames.
-const STILLER: f64 = 0.05;
-/// Smallest mean speed and speed of the fastest joint, as parts of the examples'.
-const SLOWEST: f64 = 0.6;
-const SLOWEST_JOINT: f64 = 0.3;
-/// Toe speed in body heights a second, and degrees of a turn, that are always allowed.
-const HARMLESS_TOE: f64 = 0.005;
-const HARMLESS_TURN: f64 = 10.0;
 
 /// Physical measures of motions, in file units, or in metres ([`Quality::in_metres`]), and seconds.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -43,29 +32,10 @@ pub struct Movement {
     pub mean_speed: f64,
     /// Frame and joint of `fastest_joint`.
     pub fastest_at: (usize, String),
+    /// Frame and joint of the largest jerk.
+    pub jerk_at: (usize, String),
     /// Frame of `largest_turn`.
     pub turn_at: usize,
-}
-
-/// A motion beside its examples.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Quality {
-    /// The new motion.
-    pub motion: Movement,
-    /// The examples: means over all their frames and the largest of all.
-    pub examples: Movement,
-    /// Height of the body, in their units.
-    #[serde(skip)]
-    height: f64,
-}
-
-/// A measure, its name, the bound that it must not exceed, and a description of where it is largest.
-struct Bounded {
-    name: &'static str,
-    value: f64,
-    example: f64,
-    bound: f64,
-    at: String,
 }
 
 /// Measures of motions that are compared with the same examples.
@@ -80,6 +50,7 @@ pub(crate) struct Reference {
     /// Speed below which a frame is still.
     still: f64,
     examples: Movement,
+    liveliest: Liveliest,
 }
 
 type World = Vec<Vec<RootPose>>;
@@ -103,8 +74,9 @@ fn sorted(mut values: Vec<f64>) -> Vec<f64> {
 }
 
 impl Reference {
-    /// The reference of examples; none without frames.
-    pub(crate) fn new(layout: &MotionMatrix, examples: &[Bvh]) -> Option<Self> {
+    /// The reference of examples; none without frames. `others`: motions that parts and contents are
+    /// taken from.
+    pub(crate) fn new(layout: &MotionMatrix, examples: &[Bvh], others: &[Bvh]) -> Option<Self> {
         let worlds: Vec<World> = examples.iter().map(world).collect();
         let joints = layout.joints();
         let feet = feet(joints);
@@ -136,6 +108,7 @@ impl Reference {
                 .collect(),
             still: 0.0,
             examples: Movement::default(),
+            liveliest: Liveliest::default(),
         };
         let speeds = worlds.iter().flat_map(|world| reference.speeds(world));
         // Repeated frames are excluded from the median.
@@ -146,6 +119,15 @@ impl Reference {
         );
         reference.still = STILL * moving.get(moving.len() / 2).copied().unwrap_or(0.0);
         reference.examples = reference.measured(examples, &worlds);
+        let others = others.iter();
+        let others =
+            others.map(|motion| reference.measured(std::slice::from_ref(motion), &[world(motion)]));
+        let others: Vec<Movement> = others.collect();
+        let all = || others.iter().chain([&reference.examples]);
+        reference.liveliest = Liveliest {
+            jerk: all().map(|each| each.jerk).fold(0.0, f64::max),
+            fastest_joint: all().map(|each| each.fastest_joint).fold(0.0, f64::max),
+        };
         Some(reference)
     }
 
@@ -155,6 +137,7 @@ impl Reference {
             motion: self.measured(std::slice::from_ref(motion), &[world(motion)]),
             examples: self.examples.clone(),
             height: self.height,
+            liveliest: self.liveliest,
         }
     }
 
@@ -207,12 +190,28 @@ impl Reference {
             }
         }
         movement.toe_speed_while_low = (!low.is_empty()).then(|| mean(&low));
+        movement.jerk_at = self.largest_jerk(worlds);
         movement
+    }
+
+    /// Frame and joint of the largest jerk; a jump into a frame has its largest jerk there.
+    fn largest_jerk(&self, worlds: &[World]) -> (usize, String) {
+        let (mut largest, mut at) = (0.0, (0, String::new()));
+        for (t, four) in worlds.iter().flat_map(|world| world.windows(4).enumerate()) {
+            for (joint, name) in self.names.iter().enumerate() {
+                let jerk = third_difference(four, joint);
+                if jerk > largest {
+                    (largest, at) = (jerk, (t + 2, name.clone()));
+                }
+            }
+        }
+        at
     }
 }
 
 impl Movement {
-    fn scaled(self, by: f64) -> Self {
+    /// The measures in other units of length.
+    pub(super) fn scaled(self, by: f64) -> Self {
         Self {
             toe_speed_while_low: self.toe_speed_while_low.map(|speed| by * speed),
             jerk: by * self.jerk,
@@ -223,129 +222,9 @@ impl Movement {
     }
 }
 
-impl Quality {
-    /// The measures in metres, of motions in units of so many metres.
-    #[must_use]
-    pub fn in_metres(self, metres_per_unit: f64) -> Self {
-        Self {
-            motion: self.motion.scaled(metres_per_unit),
-            examples: self.examples.scaled(metres_per_unit),
-            height: metres_per_unit * self.height,
-        }
-    }
-
-    /// The measures that a motion must not exceed. `harmless`: toe speed that is always allowed, in
-    /// body heights a second.
-    fn bounded(&self, harmless: f64) -> Vec<Bounded> {
-        let (motion, examples) = (&self.motion, &self.examples);
-        let bounded = |name, value, example, bound, at| Bounded {
-            name,
-            value,
-            example,
-            bound,
-            at,
-        };
-        let mut all = Vec::new();
-        if let (Some(toe), Some(example)) =
-            (motion.toe_speed_while_low, examples.toe_speed_while_low)
-        {
-            let bound = (TOE * example).max(harmless * self.height);
-            let name = "toe speed while low";
-            all.push(bounded(name, toe, example, bound, String::new()));
-        }
-        let (jerk, fastest) = (examples.jerk, examples.fastest_joint);
-        let (frame, joint) = &motion.fastest_at;
-        let at = format!(" ({joint}, frame {frame})");
-        let turn = (TURN * examples.largest_turn).max(HARMLESS_TURN);
-        let turned = format!(" (frame {})", motion.turn_at);
-        let still = examples.still_share;
-        all.extend([
-            bounded("jerk", motion.jerk, jerk, JERK * jerk, String::new()),
-            bounded(
-                "fastest joint",
-                motion.fastest_joint,
-                fastest,
-                FASTEST * fastest,
-                at,
-            ),
-            bounded(
-                "largest turn",
-                motion.largest_turn,
-                examples.largest_turn,
-                turn,
-                turned,
-            ),
-            bounded(
-                "still share",
-                motion.still_share,
-                still,
-                still + STILLER,
-                String::new(),
-            ),
-        ]);
-        all
-    }
-
-    /// The speeds that a motion must reach, each with its name and bound.
-    fn least_speeds(&self) -> [(&'static str, f64, f64); 2] {
-        let (motion, examples) = (&self.motion, &self.examples);
-        let mean = SLOWEST * examples.mean_speed;
-        let fastest = SLOWEST_JOINT * examples.fastest_joint;
-        [
-            ("mean speed", motion.mean_speed, mean),
-            ("fastest joint", motion.fastest_joint, fastest),
-        ]
-    }
-
-    /// The largest measure relative to its bound: at most 1 for a motion within all bounds. Speeds
-    /// below their bounds count squared, because a motion that slides is better than one that
-    /// freezes.
-    pub fn excess(&self) -> f64 {
-        self.excess_beside(HARMLESS_TOE)
-    }
-
-    /// [`Self::excess`] if no toe speed above the examples' is harmless.
-    pub(crate) fn strict_excess(&self) -> f64 {
-        self.excess_beside(0.0)
-    }
-
-    fn excess_beside(&self, harmless: f64) -> f64 {
-        let tiny = 1e-9 * self.height.max(f64::MIN_POSITIVE);
-        let of = |each: Bounded| each.value / each.bound.max(tiny);
-        let bounded = self.bounded(harmless).into_iter();
-        let excess = bounded.map(of).fold(0.0, f64::max);
-        let slower = |(_, speed, least): (_, f64, f64)| (least / speed.max(tiny)).powi(2);
-        self.least_speeds()
-            .map(slower)
-            .into_iter()
-            .fold(excess, f64::max)
-    }
-
-    /// The measures beyond their bounds, each with its value, that of the examples, the bound, and
-    /// frame and joint.
-    pub fn beyond(&self) -> Vec<String> {
-        let bounded = self.bounded(HARMLESS_TOE).into_iter();
-        let beyond = bounded.filter(|each| each.value > each.bound);
-        let text = |each: Bounded| {
-            format!(
-                "{} {:.3}{}, examples {:.3}, bound {:.3}",
-                each.name, each.value, each.at, each.example, each.bound
-            )
-        };
-        let mut all: Vec<String> = beyond.map(text).collect();
-        let slow = self.least_speeds().into_iter();
-        let slow = slow.filter(|(_, speed, least)| speed < least);
-        all.extend(slow.map(|(name, speed, least)| {
-            format!("{name} {speed:.3}, at least {least:.3} expected")
-        }));
-        all
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use proptest::prelude::*;
-
+    use super::super::quality::{FASTEST, LIVELY_SPEED};
     use super::*;
     use crate::MatrixOptions;
     use crate::motion_matrix::tests::example;
@@ -355,7 +234,7 @@ mod tests {
         let walk = example("walk.bvh", 60, 1.0 / 30.0);
         let examples = std::slice::from_ref(&walk);
         let layout = MotionMatrix::new(examples, MatrixOptions::default()).unwrap();
-        let reference = Reference::new(&layout, std::slice::from_ref(&walk.bvh)).unwrap();
+        let reference = Reference::new(&layout, std::slice::from_ref(&walk.bvh), &[]).unwrap();
         let copy = reference.quality(&walk.bvh);
         assert_eq!(copy.motion, copy.examples);
         assert!(copy.excess() <= 1.0 && copy.beyond().is_empty());
@@ -387,55 +266,42 @@ mod tests {
         );
     }
 
-    /// A bow beside a motion of it, in metres: toe speed, jerk, fastest joint and mean speed.
-    fn beside_a_bow([toe, jerk, fastest_joint, mean_speed]: [f64; 4]) -> Quality {
-        let examples = Movement {
-            toe_speed_while_low: Some(0.001),
-            jerk: 14.7,
-            fastest_joint: 1.24,
-            largest_turn: 1.4,
-            mean_speed: 0.073,
-            ..Movement::default()
-        };
-        let motion = Movement {
-            toe_speed_while_low: Some(toe),
-            jerk,
-            fastest_joint,
-            mean_speed,
-            ..examples.clone()
-        };
-        Quality {
-            motion,
-            examples,
-            height: 1.37,
-        }
-    }
-
     #[test]
-    fn a_frozen_gesture_is_worse_than_one_that_slides_or_shakes() {
-        let harmless = beside_a_bow([0.006, 14.7, 1.24, 0.073]);
-        assert!(harmless.excess() <= 1.0, "{}", harmless.excess());
-        let frozen = beside_a_bow([0.006, 14.7, 0.05, 0.017]);
-        let frozen_in_most_joints = beside_a_bow([0.006, 14.7, 0.05, 0.05]);
-        let shaking = beside_a_bow([0.017, 65.0, 1.69, 0.088]);
-        for frozen in [frozen, frozen_in_most_joints] {
-            let (better, worse) = (shaking.excess(), frozen.excess());
-            assert!(2.0 * better < worse, "{better} {worse}");
-            let warnings = frozen.beyond().join("\n");
-            assert!(
-                warnings.contains("fastest joint 0.050, at least 0.372"),
-                "{warnings}"
-            );
-        }
-    }
-
-    proptest! {
-        #[test]
-        fn motions_beyond_a_bound_have_a_warning(
-            toe in 0.0..0.02f64, jerk in 10.0..30.0f64, fastest in 0.2..2.0f64, mean in 0.03..0.1f64,
-        ) {
-            let quality = beside_a_bow([toe, jerk, fastest, mean]);
-            prop_assert_eq!(quality.excess() > 1.0, !quality.beyond().is_empty());
-        }
+    fn far_beyond_its_sources_a_motion_is_not_usable() {
+        let walk = example("walk.bvh", 120, 1.0 / 30.0);
+        let examples = std::slice::from_ref(&walk);
+        let layout = MotionMatrix::new(examples, MatrixOptions::default()).unwrap();
+        let joints = walk.bvh.joints().len();
+        // The whole body jumps by so much into frame 40.
+        let jump = |by: f64| {
+            let mut poses: Vec<RootPose> = (0..120).flat_map(|t| walk.bvh.locals(t)).collect();
+            for pose in poses.chunks_mut(joints).skip(40) {
+                pose[0].position[0] += by;
+            }
+            walk.bvh.reposed(1.0 / 30.0, &poses).unwrap()
+        };
+        let originals = std::slice::from_ref(&walk.bvh);
+        let reference = Reference::new(&layout, originals, &[]).unwrap();
+        let own = reference.quality(&walk.bvh);
+        assert!(!own.is_far());
+        // A step faster than both bounds, and one between the bound of warnings and that bound.
+        let bound =
+            (FASTEST * own.examples.fastest_joint).max(LIVELY_SPEED * reference.height) / 30.0;
+        let far = reference.quality(&jump(2.5 * bound));
+        assert!(far.is_far());
+        let beyond = far.beyond().join("\n");
+        let place = format!("({}, frame 40)", far.motion.fastest_at.1);
+        assert!(
+            beyond.contains("fastest joint") && beyond.contains(&place),
+            "{beyond}"
+        );
+        assert!(beyond.contains("this motion is not usable"), "{beyond}");
+        assert_eq!(far.motion.jerk_at.0, 40);
+        assert!(far.clone().in_metres(0.01).is_far());
+        assert!(!reference.quality(&jump(0.5 * bound)).is_far());
+        // A source that is as fast makes it usable.
+        let others = [jump(2.5 * bound)];
+        let reference = Reference::new(&layout, originals, &others).unwrap();
+        assert!(!reference.quality(&jump(2.5 * bound)).is_far());
     }
 }

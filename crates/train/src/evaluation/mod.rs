@@ -16,8 +16,8 @@ pub use held_out::{clips_with_held_out, note_if_fewer, phrases_with_held_out};
 pub use replications::{Replicated, replicate};
 pub use request::EvaluationRequest;
 pub use table::{Better, Column, Group, Metrics, Number};
-pub use verdict::best_columns;
 pub(crate) use verdict::furthest_from_real;
+pub use verdict::{best_columns, best_places};
 
 use crate::config::SamplingConfig;
 use crate::error::Error;

@@ -42,6 +42,12 @@ pub enum Better {
 }
 
 impl Better {
+    /// The direction of a [`name`](Self::name) in tables.
+    pub fn named(name: &str) -> Option<Self> {
+        let all = [Self::Lower, Self::Higher, Self::NearReal];
+        all.into_iter().find(|better| better.name() == name)
+    }
+
     /// Its name in tables.
     pub fn name(self) -> &'static str {
         match self {

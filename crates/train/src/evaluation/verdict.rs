@@ -9,12 +9,15 @@ pub(crate) fn furthest_from_real(samples: &Column, real: &Column) -> Option<Stri
     let near = near.filter(|(_, number)| number.better == Some(Better::NearReal));
     let ratios = near.filter_map(|(group, number)| {
         let real = real.number(group.key, &number.name)?.value?;
-        let title = &number.line.as_ref()?.0;
-        Some((title.split(", ").next()?, ratio(number.value?, real)?))
+        let title = number.line.as_ref()?.0.split(", ").next()?;
+        let of = match group.title {
+            "" => String::new(),
+            of => format!(" ({})", of.to_lowercase()),
+        };
+        Some((format!("{title}{of}"), ratio(number.value?, real)?))
     });
-    let ratios: Vec<(&str, f64)> = ratios.collect();
     let far = |ratio: f64| ratio.ln().abs();
-    let furthest = ratios.iter().max_by(|a, b| far(a.1).total_cmp(&far(b.1)));
+    let furthest = ratios.max_by(|a, b| far(a.1).total_cmp(&far(b.1)));
     let (title, ratio) = furthest?;
     Some(format!(
         "furthest from real motion: {title}, {ratio:.2} times real"
@@ -28,23 +31,30 @@ pub fn best_columns(columns: &[&Column], real: &[&Column]) -> Vec<Vec<usize>> {
         return Vec::new();
     };
     let of_measure = |(group, number): (&super::Group, &super::Number)| {
-        let badness = columns.iter().zip(real).map(|(column, real)| {
-            let value = column.number(group.key, &number.name)?.value;
-            let real = real.number(group.key, &number.name);
-            let real = real.and_then(|number| number.value);
-            number.better?.badness(value, real)
-        });
-        let badness: Option<Vec<f64>> = badness.collect();
-        let badness = badness.unwrap_or_default();
-        let best = badness.iter().copied().fold(f64::INFINITY, f64::min);
-        let places = (0..badness.len()).filter(|&place| badness[place] == best);
-        let places: Vec<usize> = places.collect();
-        match places.len() == badness.len() {
-            true => Vec::new(),
-            false => places,
-        }
+        let value = |column: &Column| column.number(group.key, &number.name)?.value;
+        let values = columns.iter().zip(real);
+        let values = values.map(|(column, real)| [value(column), value(real)]);
+        let better = number.better.expect("a main measure");
+        best_places(better, &values.collect::<Vec<_>>())
     };
     first.main().map(of_measure).collect()
+}
+
+/// The places of the best of several values of a measure, each with the value of real motion; empty
+/// where values tie or are missing.
+pub fn best_places(better: Better, values: &[[Option<f64>; 2]]) -> Vec<usize> {
+    let badness = values
+        .iter()
+        .map(|[value, real]| better.badness(*value, *real));
+    let badness: Option<Vec<f64>> = badness.collect();
+    let badness = badness.unwrap_or_default();
+    let best = badness.iter().copied().fold(f64::INFINITY, f64::min);
+    let places = (0..badness.len()).filter(|&place| badness[place] == best);
+    let places: Vec<usize> = places.collect();
+    match places.len() == badness.len() {
+        true => Vec::new(),
+        false => places,
+    }
 }
 
 #[cfg(test)]
@@ -53,6 +63,10 @@ mod tests {
     use super::*;
 
     fn column(values: [Option<f64>; 4]) -> Column {
+        column_of("", values)
+    }
+
+    fn column_of(title: &'static str, values: [Option<f64>; 4]) -> Column {
         let [error, rate, jerk, speed] = values;
         let numbers = Number::list([
             ("error", error, ", m"),
@@ -67,11 +81,10 @@ mod tests {
             ("speed", Better::NearReal),
         ];
         let numbers = Number::mark(numbers, &main);
-        let (key, title) = ("samples", "");
         Column {
             facts: Vec::new(),
             groups: vec![Group {
-                key,
+                key: "samples",
                 title,
                 numbers,
             }],
@@ -93,5 +106,9 @@ mod tests {
         let expected = "furthest from real motion: jerk, 0.50 times real";
         assert_eq!(said.as_deref(), Some(expected));
         assert_eq!(furthest_from_real(&one, &column([None; 4])), None);
+        let raw = column_of("RAW", [None, None, Some(30.0), None]);
+        let said = furthest_from_real(&raw, &real);
+        let expected = "furthest from real motion: jerk (raw), 0.50 times real";
+        assert_eq!(said.as_deref(), Some(expected));
     }
 }

@@ -46,6 +46,9 @@ impl Systems<'_> {
             let (mut json, mut facts) = (results.json, results.facts);
             json["run"] = run.as_str().into();
             json["seed"] = seed.into();
+            json["report"] = report.into();
+            let config = serde_json::to_value(trained.config()).expect("plain data");
+            json["evaluation"] = config["evaluation"].clone();
             if results.samples.is_some() {
                 let step = trained.saved.state.step;
                 json["step"] = step.into();

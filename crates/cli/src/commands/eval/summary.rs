@@ -38,8 +38,8 @@ fn best(all: &[Evaluated]) -> Vec<Vec<usize>> {
     best_columns(&samples, &real)
 }
 
-/// The main measures of the runs and of real motion, with their directions; `*` marks the best of
-/// several runs.
+/// The main measures of the runs and of real motion, with their groups and directions; `*` marks the
+/// best of several runs.
 pub fn table(labels: &[String], all: &[Evaluated], width: Option<usize>) -> String {
     let same = all.iter().all(|each| each.real == all[0].real);
     let mut header = vec![String::new()];
@@ -48,7 +48,7 @@ pub fn table(labels: &[String], all: &[Evaluated], width: Option<usize>) -> Stri
         header.extend((!same).then(|| format!("real ({label})")));
     }
     header.extend(same.then(|| "real".to_owned()));
-    header.push("better".to_owned());
+    header.push(super::BETTER.to_owned());
     let mut rows = vec![header];
     let best = best(all);
     // Without the interval or the range, in brackets.
@@ -57,15 +57,14 @@ pub fn table(labels: &[String], all: &[Evaluated], width: Option<usize>) -> Stri
         let shown = shown.map(|shown| shown.split(" (").next().unwrap_or(shown));
         shown.unwrap_or(MISSING).to_owned()
     };
-    let first = all[0].samples.groups.first().map(|group| group.key);
     for ((group, number), best) in all[0].samples.main().zip(best) {
         let title = number
             .line
             .as_ref()
             .map_or(&number.name, |(title, _)| title);
-        let title = match first == Some(group.key) || group.title.is_empty() {
-            true => title.clone(),
-            false => format!("{}: {title}", group.title.to_lowercase()),
+        let title = match group.title {
+            "" => title.clone(),
+            of => format!("{}: {title}", of.to_lowercase()),
         };
         let mut row = vec![title];
         let of = |column: &Column| shown(column.number(group.key, &number.name));

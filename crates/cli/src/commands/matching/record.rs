@@ -50,6 +50,8 @@ pub struct Record {
     #[serde(skip_serializing_if = "Option::is_none")]
     seam: Option<Seam>,
     quality: Quality,
+    /// True if the motion is not usable.
+    far: bool,
     /// `None` if the motions are too short or too long to compare.
     measures: Option<Measures>,
 }
@@ -103,9 +105,15 @@ impl Record {
                 .map(|sliding| sliding.in_metres(metres_per_unit)),
             jerk: made.jerk,
             seam: made.seam(made.settings.looping),
+            far: made.quality.is_far(),
             quality: made.quality.clone().in_metres(metres_per_unit),
             measures: made.measures(&[]),
         }
+    }
+
+    /// True if the motion is not usable.
+    pub fn is_far(&self) -> bool {
+        self.far
     }
 
     /// Prints the measures.

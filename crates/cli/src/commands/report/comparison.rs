@@ -5,13 +5,14 @@ use kinegrad_train::telemetry::{Record, read_environments};
 use serde_json::Value;
 
 use super::curves::{Metrics, charts};
-use super::{facts, records};
+use super::{evaluation, facts, records};
 use crate::runs::{Run, folder_name};
 
 /// Largest number of keys of the configs in the table.
 const MOST_KEYS: usize = 200;
 
-/// The curves of all runs together, their main facts, and the differences of their configs.
+/// The curves of all runs together, their main facts, their evaluations and the differences of their
+/// configs.
 pub fn page(runs: &[Run]) -> Page {
     let names: Vec<String> = runs.iter().map(|run| folder_name(&run.folder)).collect();
     let records: Vec<Vec<Record>> = runs.iter().map(records).collect();
@@ -30,7 +31,7 @@ pub fn page(runs: &[Run]) -> Page {
     Page {
         title: names.join(", "),
         subtitle: folders.join(", "),
-        sections: vec![results, training, config],
+        sections: vec![results, training, evaluation::section(runs, &names), config],
         ..Page::default()
     }
 }
@@ -97,13 +98,17 @@ fn differences(runs: &[Run], names: &[String]) -> Table {
 
 /// The keys of a config with their values, without its name.
 fn keys(run: &Run) -> Vec<(String, String)> {
+    let config = run.config.as_ref();
+    let config = config.and_then(|config| serde_json::to_value(config).ok());
+    let mut found = flattened(config.unwrap_or_default());
+    found.retain(|(key, _)| key != "run.name");
+    found
+}
+
+/// The dotted keys of a table with their values.
+pub fn flattened(table: Value) -> Vec<(String, String)> {
     let mut found = Vec::new();
-    let config = run
-        .config
-        .as_ref()
-        .and_then(|config| serde_json::to_value(config).ok());
-    let mut waiting: Vec<(String, Value)> =
-        config.map(|all| (String::new(), all)).into_iter().collect();
+    let mut waiting = vec![(String::new(), table)];
     while let Some((key, value)) = waiting.pop() {
         match value {
             Value::Object(table) => waiting.extend(table.into_iter().map(|(name, value)| {
@@ -111,7 +116,6 @@ fn keys(run: &Run) -> Vec<(String, String)> {
                 (format!("{key}{dot}{name}"), value)
             })),
             Value::Null => {}
-            _ if key == "run.name" => {}
             value => found.push((key, value.to_string())),
         }
     }

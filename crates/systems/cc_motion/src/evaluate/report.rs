@@ -31,7 +31,7 @@ impl EvaluationReport {
                 numbers: Number::mark(measures.rows(), main),
             };
             vec![
-                group("processed", "POST-PROCESSED", processed, &MAIN),
+                group("processed", "PROCESSED", processed, &MAIN),
                 group("raw", "RAW", raw, &MAIN[..1]),
             ]
         };
@@ -78,7 +78,7 @@ impl ProfileRates {
             format!("; {failing} fail {}", check.name)
         });
         format!(
-            "{} of the samples are within the limits of `strict` (real: {}){}",
+            "{} of the processed samples are within the limits of `strict` (real: {}){}",
             percent(self.pass_rate),
             percent(real.pass_rate),
             worst.unwrap_or_default()
