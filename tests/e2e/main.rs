@@ -5,6 +5,7 @@ mod aligned;
 mod audio_ablation;
 mod bad_input;
 mod beats;
+mod best_of;
 mod bodies;
 mod broken;
 mod captions;

@@ -60,6 +60,17 @@ def test_samples_of_phrases(command, phrases, tmp_path):
         samples[0].bvh()
 
 
+def test_the_best_of_several_samples(command, phrases, tmp_path):
+    options = ["--best-of", "3", "--select-by", "beat,checks", "--steps", "2"]
+    by = ["beat", "checks"]
+    (best,) = compare(command, phrases, tmp_path, options, best_of=3, select_by=by, steps=2)
+    selection = best.record["selection"]
+    assert selection["by"] == by and len(selection["scores"]) == 3
+    assert selection["selected"] == min(range(3), key=selection["scores"].__getitem__)
+    with pytest.raises(kinegrad.UsageError, match="skating"):
+        phrases.sample(progress=False, best_of=3, select_by=["skating"])
+
+
 def test_samples_of_which_frames_are_given(command, phrases, song, tmp_path):
     first = tmp_path / "first.npy"
     np.save(first, phrases.sample(steps=2, seed=3, progress=False)[0].motion)

@@ -32,7 +32,9 @@ pub fn check(
             let keys = "docs/config.md lists the keys of `evaluation.thresholds`";
             let unusable = |reason: String| Error::usage(format!("`thresholds`: {reason}"), keys);
             if profile != Profile::Ccmotion || representation.stored_channels() != CHANNELS {
-                return Err(unusable("bounds of the profile \"ccmotion\" of phrases".to_owned()));
+                return Err(unusable(
+                    "bounds of the profile \"ccmotion\" of phrases".to_owned(),
+                ));
             }
             let bounds: SanityThresholds =
                 serde_json::from_str(text).map_err(|error| unusable(error.to_string()))?;

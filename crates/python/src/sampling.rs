@@ -6,7 +6,7 @@ use std::sync::Arc;
 use kinegrad_cli::{ConditionArguments, Files, bvh_text, must_be_finite, while_it_is_trained};
 use kinegrad_motion::PostProcessProfile;
 use kinegrad_systems::BUILT_IN;
-use kinegrad_train::sampling::{self, Contents, Request, SampleSink};
+use kinegrad_train::sampling::{self, BestOf, Contents, Request, SampleSink, SelectBy};
 use kinegrad_train::{Error, Reading};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
@@ -43,6 +43,8 @@ pub struct SampleRequest {
     keep: Option<String>,
     keep_from: Option<PathBuf>,
     postprocess: String,
+    best_of: Option<usize>,
+    select_by: Vec<String>,
     style: Option<String>,
 }
 
@@ -74,6 +76,11 @@ impl SampleRequest {
         let conditions = conditions.conditions()?;
         let allowed = "\"default\", \"ccmotion\" and \"none\"";
         let profile = named("`postprocess`", &self.postprocess, allowed)?;
+        let names = SelectBy::ALL.map(|by| format!("\"{}\"", by.name()));
+        let names = names.join(", ");
+        let by = self.select_by.iter();
+        let by = by.map(|name| named("`select_by`", name, &names));
+        let by: Vec<SelectBy> = by.collect::<Result<_, _>>()?;
         Ok(Request {
             conditions,
             history_joints,
@@ -82,6 +89,7 @@ impl SampleRequest {
             seconds: self.seconds,
             seed: self.seed,
             post_processing: Some(profile).filter(|own| *own != PostProcessProfile::Default),
+            best_of: self.best_of.map(|count| BestOf { count, by }),
         })
     }
 }

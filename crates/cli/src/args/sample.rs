@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use kinegrad_motion::PostProcessProfile;
+use kinegrad_train::sampling::SelectBy;
 
 use super::values::named;
 use crate::conditions::ConditionArguments;
@@ -13,6 +14,7 @@ use crate::conditions::ConditionArguments;
 #[command(after_help = "\
 Examples:
   kinegrad sample runs/quickstart --out dance
+  kinegrad sample runs/quickstart --best-of 8 --select-by checks,beat --out best
   kinegrad sample runs/gmd_motion --trajectory-run runs/gmd_trajectory --goal goal.toml --out walk
   kinegrad sample runs/phrases --item C_5_00158 --count 4 --steps 50 --out dance
   kinegrad sample runs/phrases --set sampling.sampler.kind=dpmpp_2m --steps 10 --out dance
@@ -44,6 +46,20 @@ pub struct SampleArguments {
     /// Write motion that is far out of the bounds of training under its usual name, and exit with 0
     #[arg(long)]
     pub allow_unusable: bool,
+    /// Generate N samples of each condition and keep the best
+    #[arg(long, value_name = "N", conflicts_with = "count")]
+    pub best_of: Option<usize>,
+    /// What `--best-of` compares, the first measure first: `checks`, `beat` (of phrases), `goal` (or
+    /// path), `skating` (of bodies)
+    #[arg(
+        long,
+        value_name = "MEASURES",
+        value_parser = named::<SelectBy>,
+        value_delimiter = ',',
+        default_value = "checks",
+        requires = "best_of"
+    )]
+    pub select_by: Vec<SelectBy>,
     /// Samples per condition
     #[arg(long, default_value_t = 1, value_name = "N")]
     pub count: usize,

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use kinegrad_report::rows;
 use kinegrad_train::checkpoint::{SavedCheckpoint, Weights, resolve_checkpoint};
-use kinegrad_train::sampling::{Request, Summary};
+use kinegrad_train::sampling::{BestOf, Request, Summary};
 use kinegrad_train::{Error, ProcessGroup, Systems, TrainedModel};
 use serde::Serialize;
 
@@ -61,6 +61,10 @@ fn sample(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, 
         seconds: arguments.seconds,
         seed: arguments.seed,
         post_processing: arguments.postprocess,
+        best_of: arguments.best_of.map(|count| BestOf {
+            count,
+            by: arguments.select_by.clone(),
+        }),
     };
     let summary = systems.sample(&trained, &request, &mut files)?;
     match arguments.json {

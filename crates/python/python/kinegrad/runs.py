@@ -180,6 +180,8 @@ class Run:
         keep_from: PathArgument | None = None,
         postprocess: Literal["default", "ccmotion", "none"] = "default",
         style: str | Sequence[float] | None = None,
+        best_of: int | None = None,
+        select_by: Sequence[Literal["checks", "beat", "goal", "skating"]] = ("checks",),
         count: int = 1,
         frames: int | None = None,
         seconds: float | None = None,
@@ -226,6 +228,10 @@ class Run:
                 CC-MotionGen's) or `"none"`.
             style: Style of the sample, for runs with `model.style`: a label, such as `"waltz"`, or
                 eight numbers in the units of the motion's style channels.
+            best_of: Number of samples of each condition of which the best is returned.
+            select_by: What `best_of` compares, the first measure first: `"checks"`, `"beat"` (of
+                phrases), `"goal"` (or path), `"skating"` (of bodies). `record["selection"]` has the
+                scores of all.
             count: Samples per condition.
             frames: Frames to generate; by default the length of the condition.
             seconds: Seconds to generate, instead of `frames`.
@@ -280,6 +286,8 @@ class Run:
             "keep": frames_kept,
             "keep_from": keep_from,
             "postprocess": postprocess,
+            "best_of": best_of,
+            "select_by": list(select_by),
             "style": style,
         }
         model = self._model(settings, steps, guidance_scale, weights, device)

@@ -5,7 +5,9 @@ use std::collections::BTreeSet;
 use std::iter::repeat_n;
 use std::path::{Path, PathBuf};
 
+use kinegrad_audio::beats::track;
 use kinegrad_data::{Alone, AudioFeatures, DataConfig, DataKind, Dataset, PhraseItem, load_audio};
+use kinegrad_motion::metrics::{beat_alignment, kinematic_beats};
 use kinegrad_motion::path::PathPlan;
 use kinegrad_motion::postprocess::PostProcessConfig;
 use kinegrad_motion::stitch::Windows;
@@ -69,6 +71,8 @@ struct Task {
     /// The condition in file names and in the seed of the noise.
     name: String,
     audio: AudioFeatures,
+    /// Beats of the audio, seconds.
+    beats: Vec<f64>,
     /// The windows and the known frames; `None` for motion sampled as a whole.
     windows: Option<(Windows, Option<KnownFrames>)>,
     path: Option<PathCondition>,
@@ -135,6 +139,7 @@ impl<'a> Phrases<'a> {
         });
         self.tasks.push(Task {
             name: audio.name,
+            beats: track(audio.features.onset_strength()).times(),
             audio: audio.features,
             windows,
             path,
@@ -182,9 +187,11 @@ impl<'a> Phrases<'a> {
     }
 
     /// The record of a phrase.
-    fn record(&self, run: &Run<'_>, job: usize, index: usize) -> Record {
-        let windows = self.tasks[job].windows.as_ref();
+    fn record(&self, run: &Run<'_>, job: usize, index: usize, motion: &Phrase) -> Record {
+        let Task { windows, beats, .. } = &self.tasks[job];
+        let windows = windows.as_ref();
         Record {
+            beat_alignment: beat_alignment(&kinematic_beats(motion), beats),
             post_processing: Some(self.post_processing()),
             windows: windows.map(|(windows, _)| WindowsRecord {
                 frames: windows.length(),
@@ -244,7 +251,7 @@ impl<'a> Phrases<'a> {
                     generator.statistics(),
                     thresholds,
                 ));
-                let record = self.record(run, job, 0);
+                let record = self.record(run, job, 0, &sample.motion);
                 run.pass(job, 0, generated(sample), record)?;
             }
             first += tasks.len();
@@ -310,7 +317,7 @@ impl Sampler for Phrases<'_> {
                     let path = task.path.as_ref();
                     let record = Record {
                         path: path.map(|path| path.record(&sample.motion)),
-                        ..self.record(run, job, index)
+                        ..self.record(run, job, index, &sample.motion)
                     };
                     run.pass(job, index, generated(sample), record)?;
                 }
@@ -323,7 +330,7 @@ impl Sampler for Phrases<'_> {
                 &mut |done, all| run.borrow_mut().sink.advance("", done, all),
                 &mut |sample| {
                     let mut run = run.borrow_mut();
-                    let record = self.record(&run, job, index);
+                    let record = self.record(&run, job, index, &sample.motion);
                     index += 1;
                     run.pass(job, index - 1, generated(sample), record)
                 },

@@ -347,9 +347,6 @@ impl Sampler for Clips<'_> {
                     self.trained.config().own::<GmdConfig>().steering.attempts,
                 ));
             }
-            if let Some(warning) = ground.warning(&name) {
-                run.sink.warning(&warning);
-            }
             let mut record = self.record(run, job, index);
             record.ground = Some(ground);
             let (clip, record) = self.finished(sample, record, &skeleton)?;

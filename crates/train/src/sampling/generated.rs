@@ -11,7 +11,7 @@ use super::Contents;
 const MOTION: &str = ".npy";
 const RAW: &str = ".raw.npy";
 const FEATURES: &str = ".features.npy";
-const BVH: &str = ".bvh";
+pub(super) const BVH: &str = ".bvh";
 const PATH: &str = ".path.npy";
 
 /// Generated motion.

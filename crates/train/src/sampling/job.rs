@@ -5,7 +5,7 @@ use kinegrad_motion::path::PathReport;
 
 use super::{
     Condition, Generated, MeasuresRecord, Names, PathRecord, Record, Request, Sample, SampleSink,
-    Summary, item_seed,
+    Selection, Summary, item_seed,
 };
 use crate::TrainedModel;
 use crate::error::Error;
@@ -100,6 +100,10 @@ pub struct Run<'a> {
     pub(crate) jobs: &'a [Job],
     pub(crate) names: Names,
     pub(crate) is_one_batch: bool,
+    /// Samples that are kept of each job.
+    pub(crate) kept: usize,
+    /// The best sample of each job so far.
+    pub(crate) selections: Vec<Selection>,
     /// Distances from paths, one line per sample.
     pub(crate) paths: Vec<String>,
     /// The measures of the bodies among the samples.
@@ -107,10 +111,15 @@ pub struct Run<'a> {
 }
 
 impl Run<'_> {
-    /// The name of a sample of a job.
+    /// The name of a sample of a job; of samples of which one is kept, its name.
     pub fn name(&self, job: usize, index: usize) -> String {
+        let index = if self.request.best_of.is_some() {
+            0
+        } else {
+            index
+        };
         match self.is_one_batch {
-            true => self.names.of("", job * self.request.count + index),
+            true => self.names.of("", job * self.kept + index),
             false => self.names.of(&self.names.stems[job], index),
         }
     }
@@ -138,8 +147,8 @@ impl Run<'_> {
         }
     }
 
-    /// Passes a sample to the sink. A body or phrase is measured, and a warning names what is out of the
-    /// bounds of the training motion.
+    /// Passes a sample to the sink, or the best one after the last sample of its job. A body or phrase
+    /// is measured, and a warning names what is out of the bounds of the training motion.
     ///
     /// # Errors
     /// If the sample cannot be stored.
@@ -150,17 +159,6 @@ impl Run<'_> {
         generated: Generated,
         mut record: Record,
     ) -> Result<(), Error> {
-        let title = self.title(job, index);
-        if let Some(PathRecord { report, .. }) = &record.path {
-            self.paths.push(deviation(report));
-            if report.travelled < LEAST_PROGRESS * report.asked {
-                self.sink.warning(&format!(
-                    "{title} travels {:.2} of {:.2} m along the path: give it more time, or see \
-                     docs/paths.md for another `method`",
-                    report.travelled, report.asked
-                ));
-            }
-        }
         let statistics = &self.trained.saved.state.statistics;
         match &generated {
             Generated::Clip {
@@ -171,15 +169,44 @@ impl Run<'_> {
             }
             _ => {}
         }
+        let mut sample = match &self.request.best_of {
+            Some(best_of) => match self.selections[job].add(best_of, generated, record) {
+                Some(best) => best,
+                None => return Ok(()),
+            },
+            None => Sample {
+                name: String::new(),
+                files: generated.files(),
+                record,
+            },
+        };
+        sample.name = self.name(job, index);
+        let (title, record) = (self.title(job, index), &sample.record);
+        if let Some(selection) = &record.selection {
+            self.sink.note(&selection.line(&title));
+        }
+        if let Some(warning) = record
+            .ground
+            .as_ref()
+            .and_then(|ground| ground.warning(&title))
+        {
+            self.sink.warning(&warning);
+        }
+        if let Some(PathRecord { report, .. }) = &record.path {
+            self.paths.push(deviation(report));
+            if report.travelled < LEAST_PROGRESS * report.asked {
+                self.sink.warning(&format!(
+                    "{title} travels {:.2} of {:.2} m along the path: give it more time, or see \
+                     docs/paths.md for another `method`",
+                    report.travelled, report.asked
+                ));
+            }
+        }
         let body = record.body.clone();
         // A table lists the checks of held-out phrases.
         let phrase = record.phrase.clone();
         let phrase = phrase.filter(|_| self.request.held_out_items().is_none());
-        self.sink.sample(Sample {
-            name: self.name(job, index),
-            files: generated.files(),
-            record,
-        })?;
+        self.sink.sample(sample)?;
         let measured = [&body, &phrase].into_iter().flatten();
         for warning in measured.filter_map(|measured| measured.warning(&title)) {
             self.sink.warning(&warning);

@@ -4,6 +4,7 @@
 //! [`Sampler`]. [`Systems::sample`](crate::system::Systems::sample) rejects conditions that the
 //! recipe does not accept, checks memory, and names and records the samples.
 
+mod best_of;
 mod condition;
 mod generated;
 mod ground;
@@ -17,6 +18,8 @@ mod seed;
 mod sink;
 mod style;
 
+pub(crate) use best_of::Selection;
+pub use best_of::{BestOf, SelectBy, SelectionRecord};
 pub use condition::{
     Condition, GoalCondition, KnownFramesCondition, OtherCondition, PathFile, TrajectoryCondition,
 };

@@ -9,7 +9,7 @@ use kinegrad_output::path_text;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::{Condition, GroundRecord, MeasuresRecord, condition};
+use super::{Condition, GroundRecord, MeasuresRecord, SelectionRecord, condition};
 use crate::TrainedModel;
 use crate::checkpoint::Weights;
 use crate::config::ClipSample;
@@ -67,6 +67,12 @@ pub struct Record {
     /// The measures of the phrase; `None` for other motion.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub phrase: Option<MeasuresRecord>,
+    /// Beat alignment of a phrase with the beats of its audio features, 0 to 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub beat_alignment: Option<f64>,
+    /// The selection among several samples.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub selection: Option<SelectionRecord>,
     /// The conditions, a map by name; empty for an unconditional sample.
     #[serde(with = "condition::as_map")]
     pub condition: Vec<Condition>,
@@ -203,6 +209,8 @@ impl Record {
             ground: None,
             body: None,
             phrase: None,
+            beat_alignment: None,
+            selection: None,
             condition: Vec::new(),
             batch: None,
         }

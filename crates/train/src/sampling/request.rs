@@ -6,7 +6,9 @@ use kinegrad_motion::humanml::Joints;
 use kinegrad_motion::{MAX_FRAMES, PostProcessProfile};
 use kinegrad_settings::{ABOVE_ZERO, Refused, in_range};
 
-use super::{Condition, GoalCondition, KnownFramesCondition, PathFile, Style, TrajectoryCondition};
+use super::{
+    BestOf, Condition, GoalCondition, KnownFramesCondition, PathFile, Style, TrajectoryCondition,
+};
 use crate::error::Error;
 
 /// Most samples per condition.
@@ -29,8 +31,10 @@ pub struct Request {
     pub seconds: Option<f64>,
     /// Seed of the noise.
     pub seed: u64,
-    /// Post-processing, for models that have one; the default profile if `None`.
+    /// Post-processing, for models that have one; that of the config if `None`.
     pub post_processing: Option<PostProcessProfile>,
+    /// The number of samples of which the best is kept, for a `count` of 1.
+    pub best_of: Option<BestOf>,
 }
 
 impl Request {
@@ -63,6 +67,21 @@ impl Request {
                 ));
             }
             in_range("option seconds", seconds, ABOVE_ZERO).hint(hint)?;
+        }
+        if let Some(best_of) = &self.best_of {
+            in_range("option best_of", best_of.count, 2..=MAX_SAMPLES)
+                .hint("one sample is kept: give the number of samples that it is selected from")?;
+            let other = match (self.count, self.held_out_items()) {
+                (1, None) => None,
+                (1, Some(_)) => Some("held-out items"),
+                _ => Some("option `count`"),
+            };
+            if let Some(other) = other {
+                return Err(Error::usage(
+                    format!("option `best_of` with {other}"),
+                    "one sample of each condition is kept: leave out one of the two",
+                ));
+            }
         }
         if self.held_out_items().is_some() && self.count != 1 {
             return Err(Error::usage(
@@ -284,6 +303,14 @@ mod tests {
             count: 1,
             ..Request::default()
         };
+        let best_of = |of: usize, count: usize, conditions| Request {
+            best_of: Some(BestOf {
+                count: of,
+                by: Vec::new(),
+            }),
+            count,
+            ..request(conditions)
+        };
         let slow = KnownBeats {
             tempo: Some(-1.0),
             ..KnownBeats::default()
@@ -313,6 +340,15 @@ mod tests {
                 "option `prompts` with option `text`",
             ),
             (request(vec![item(), item()]), "option `item` with"),
+            (best_of(1, 1, vec![item()]), "`option best_of` is 1"),
+            (
+                best_of(4, 2, vec![item()]),
+                "option `best_of` with option `count`",
+            ),
+            (
+                best_of(4, 1, vec![Condition::HeldOut(1)]),
+                "option `best_of` with held-out items",
+            ),
             (
                 request(vec![goal(), path()]),
                 "option `path` with option `goal`",

@@ -7,7 +7,9 @@ use super::{System, Systems};
 use crate::TrainedModel;
 use crate::error::Error;
 use crate::memory::must_fit;
-use crate::sampling::{Job, MeasuresRecord, Names, Request, Run, SampleSink, Sampler, Summary};
+use crate::sampling::{
+    Job, MeasuresRecord, Names, Request, Run, SampleSink, Sampler, Selection, Summary,
+};
 
 impl Systems<'_> {
     /// Generates motion with the model `trained` and passes each sample, with its
@@ -26,11 +28,21 @@ impl Systems<'_> {
         let (system, recipe) = self.of(trained.config())?;
         let request = request.at(system.fps(trained.config()))?;
         must_accept(system, recipe.name, &request)?;
+        // All candidates are generated, and one is named and kept.
+        let kept = request.count;
+        let count = request
+            .best_of
+            .as_ref()
+            .map_or(kept, |best_of| best_of.count);
+        let request = Request { count, ..request };
         let sampler = system.sampler(trained, &request, sink)?;
+        if let Some(best_of) = &request.best_of {
+            best_of.must_suit(&*sampler, &request)?;
+        }
         for needs in sampler.needs()? {
             must_fit(&needs.work, needs.bytes, needs.hint)?;
         }
-        let names = names(&*sampler, &request);
+        let names = names(&*sampler, &request, kept);
         if request.held_out_items().is_none() {
             sink.reserve_outputs(&names, sampler.extensions())?;
         }
@@ -43,6 +55,8 @@ impl Systems<'_> {
             jobs: sampler.jobs(),
             names,
             is_one_batch: sampler.is_one_batch(),
+            kept,
+            selections: vec![Selection::default(); sampler.jobs().len()],
             paths: Vec::new(),
             bodies: Vec::new(),
         };
@@ -90,12 +104,13 @@ fn must_accept(system: &dyn System, recipe: &str, request: &Request) -> Result<(
 }
 
 /// Names of the samples; a sample for a held-out item has the item's id.
-fn names(sampler: &dyn Sampler, request: &Request) -> Names {
+/// `count` samples of each job are kept.
+fn names(sampler: &dyn Sampler, request: &Request, count: usize) -> Names {
     let (jobs, held_out) = (sampler.jobs(), request.held_out_items().is_some());
     if sampler.is_one_batch() {
         return Names {
             stems: vec![String::new()],
-            count: jobs.len() * request.count,
+            count: jobs.len() * count,
         };
     }
     let stem = |(number, job): (usize, &Job)| match &job.name {
@@ -106,6 +121,6 @@ fn names(sampler: &dyn Sampler, request: &Request) -> Names {
     };
     Names {
         stems: jobs.iter().enumerate().map(stem).collect(),
-        count: request.count,
+        count,
     }
 }
