@@ -63,7 +63,6 @@ fn the_best_phrase_is_one_of_the_samples_and_has_the_least_score() {
         ("--best-of 3 --select-by goal", "checks, beat"),
         ("--best-of 1", "`--best-of` is 1"),
         ("--best-of 3 --count 2", "--count"),
-        ("--best-of 3 --held-out 2", "held-out items"),
         ("--best-of 3 --select-by looks", "looks"),
         ("--select-by beat", "--best-of"),
     ] {

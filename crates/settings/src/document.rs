@@ -422,7 +422,7 @@ mod tests {
         let Err(error) = Document::parse(&longer, "file") else {
             panic!("read");
         };
-        let expected = "file: 8388609 bytes found, at most 8388608 allowed";
+        let expected = "file: 2097153 bytes found, at most 2097152 allowed";
         assert_eq!(error.to_string(), expected);
     }
 

@@ -120,7 +120,9 @@ pub fn in_range<N: Number>(
         Bound::Excluded(below) => format!("more than {below}"),
         Bound::Unbounded => "any number".into(),
     };
+    let is_open = matches!(range.start_bound(), Bound::Unbounded);
     let allowed = match range.end_bound() {
+        Bound::Included(most) if is_open => format!("at most {most}"),
         Bound::Included(most) => format!("{from} to {most}"),
         Bound::Excluded(above) => format!("{from} to below {above}"),
         Bound::Unbounded if matches!(range.start_bound(), Bound::Included(_)) => {

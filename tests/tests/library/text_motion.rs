@@ -221,7 +221,7 @@ fn weights_that_are_not_the_networks_are_refused_by_name() {
     });
     assert_eq!(
         message,
-        "the weights do not fit:\n  missing: `movement_encoder.main.3.bias` [5]\n  \
+        "the weights do not fit: missing: `movement_encoder.main.3.bias` [5]; \
          not known: `movement_encoder.main.6.bias`"
     );
     let message = refused(&|weight| {

@@ -123,7 +123,10 @@ fn page(systems: Systems<'_>, run: &Run, stages: &[Run]) -> Page {
 
 fn records(run: &Run) -> Vec<Record> {
     let warn = &mut |text: &str| tell!("warning: {text}");
-    read_metrics(&run.folder, warn).unwrap_or_default()
+    read_metrics(&run.folder, warn).unwrap_or_else(|error| {
+        warn(&error.to_string());
+        Vec::new()
+    })
 }
 
 fn subtitle(run: &Run) -> String {

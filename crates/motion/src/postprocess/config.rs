@@ -115,8 +115,7 @@ pub struct PostProcessConfig {
     pub apply_smoothing: bool,
     /// Frames in that mean, odd.
     pub smoothing_kernel_size: usize,
-    /// Step 7: fit the nearest coherent motion ([`crate::coherence`]), if training statistics are
-    /// known. Not in CC-MotionGen. The coherence of a fitted motion does not measure the network.
+    /// Step 7: fit the nearest coherent motion, if training statistics are known. Not in CC-MotionGen. The coherence of a fitted motion does not measure the network.
     pub fit_coherent_motion: bool,
     /// Step 8: derive the angular velocity from the quaternions. Not in CC-MotionGen.
     pub derive_angular_velocity: bool,

@@ -245,7 +245,7 @@ mod tests {
             run: String::new(),
             checkpoint: "step-00000001".into(),
             step: 1,
-            weights: Weights::Trained,
+            weights: Weights::Ema,
             system: String::new(),
             recipe: String::new(),
             seed: 0,
