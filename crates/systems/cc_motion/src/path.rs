@@ -38,7 +38,7 @@ impl Default for PhrasePathConfig {
     fn default() -> Self {
         Self {
             method: PhrasePathMethod::default(),
-            guidance_step_size: 0.2,
+            guidance_step_size: 0.4,
             tolerance: 0.0,
             stop_timestep: 0,
         }
