@@ -231,7 +231,7 @@ fn weights_that_are_not_the_networks_are_refused_by_name() {
     });
     assert_eq!(
         message,
-        "the weights do not fit:\n  `motion_encoder.input_emb.weight` has shape [7, 4], [7, 5] needed"
+        "the weights do not fit: `motion_encoder.input_emb.weight` has shape [7, 4], [7, 5] needed"
     );
     // Settings that weights do not determine are as published.
     let message = refused(&|weight| {
