@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use kinegrad_audio::beats::track;
 use kinegrad_data::{Alone, AudioFeatures, DataConfig, DataKind, Dataset, PhraseItem, load_audio};
-use kinegrad_motion::metrics::{beat_alignment, kinematic_beats};
+use kinegrad_motion::metrics::{beat_alignment, speed_peaks};
 use kinegrad_motion::path::PathPlan;
 use kinegrad_motion::postprocess::PostProcessConfig;
 use kinegrad_motion::stitch::Windows;
@@ -191,7 +191,7 @@ impl<'a> Phrases<'a> {
         let Task { windows, beats, .. } = &self.tasks[job];
         let windows = windows.as_ref();
         Record {
-            beat_alignment: beat_alignment(&kinematic_beats(motion), beats),
+            beat_alignment: beat_alignment(&speed_peaks(motion), beats),
             post_processing: Some(self.post_processing()),
             windows: windows.map(|(windows, _)| WindowsRecord {
                 frames: windows.length(),

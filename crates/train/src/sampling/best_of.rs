@@ -53,7 +53,7 @@ pub enum SelectBy {
     /// Number of failed checks and, below 1, how far the measures are out of the 1st and 99th
     /// percentile of training motion.
     Checks,
-    /// 1 less the beat alignment of a phrase with its audio features.
+    /// 1 less the beat alignment of the root's speed peaks with the audio features of a phrase.
     Beat,
     /// Mean distance of the root from the goal's keyframes or from its place on the path, metres, and
     /// how far the root's path is out of bounds.

@@ -67,7 +67,7 @@ pub struct Record {
     /// The measures of the phrase; `None` for other motion.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub phrase: Option<MeasuresRecord>,
-    /// Beat alignment of a phrase with the beats of its audio features, 0 to 1.
+    /// Beat alignment of the root's speed peaks with the beats of the audio features, 0 to 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub beat_alignment: Option<f64>,
     /// The selection among several samples.
