@@ -69,7 +69,9 @@ def contents(run: Path) -> dict[str, bytes]:
     files = {}
     for path in sorted(run.rglob("*")):
         name = str(path.relative_to(run))
-        if not path.is_file() or path.name in OF_THE_CLOCK or "tfevents" in path.name:
+        # Evaluations between two starts leave reports.
+        is_other = path.name in OF_THE_CLOCK or "tfevents" in path.name or name.startswith("reports/")
+        if not path.is_file() or is_other:
             continue
         content = path.read_bytes()
         files[name] = without_clock(content) if path.name == "metrics.jsonl" else content

@@ -70,8 +70,7 @@ pub fn infos<M: Module>(module: &M) -> Vec<ParameterInfo> {
     visitor.infos
 }
 
-/// True for trained and false for frozen parameters, also on a plain device. Initializes all
-/// parameters.
+/// True for trained and false for frozen parameters, also on a plain device. Initializes none.
 pub fn trainable<M: Module>(module: &M) -> Vec<bool> {
     struct Visitor(Vec<bool>);
     impl ModuleVisitor for Visitor {
@@ -84,8 +83,14 @@ pub fn trainable<M: Module>(module: &M) -> Vec<bool> {
     visitor.0
 }
 
-/// Burn shows this setting of a parameter only after `train`.
+/// Burn shows this setting of a parameter only after `train`, which initializes the parameter: a small
+/// tensor that is loaded in its place takes the setting over.
 fn is_trainable<const D: usize>(param: &Param<Tensor<D>>) -> bool {
+    let stand_in = (!param.is_initialized()).then(|| {
+        let small = Tensor::zeros([1; D], &param.lazy_device());
+        param.clone().transform_for_load(small, param.id)
+    });
+    let param = stand_in.as_ref().unwrap_or(param);
     param.valid().train().is_require_grad()
 }
 
@@ -247,6 +252,16 @@ mod tests {
         assert_ne!(export(&other), weights);
         let loaded = load(other, weights.clone()).expect("the weights fit");
         assert_eq!(export(&loaded), weights);
+    }
+
+    #[test]
+    fn what_is_trained_is_known_without_initial_weights() {
+        // Its weights would take four tebibytes.
+        let huge = Linear::new(1 << 20, 1 << 20, &Initializer::new(1, &Device::flex()));
+        assert_eq!(trainable(&huge), [true, true]);
+        assert_eq!(trainable(&huge.no_grad()), [false, false]);
+        assert_eq!(trainable(&layer()), [true, true]);
+        assert_eq!(trainable(&layer().no_grad()), [false, false]);
     }
 
     #[test]

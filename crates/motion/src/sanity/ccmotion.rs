@@ -171,7 +171,8 @@ mod tests {
             failed.map(|check| check.name).collect::<Vec<_>>()
         };
         assert!(failing(own).is_empty());
-        let changed: [(&str, fn(&mut SanityThresholds)); 7] = [
+        type Change = fn(&mut SanityThresholds);
+        let changed: [(&str, Change); 7] = [
             ("quaternion", |own| own.quaternion_norm_min = 1.01),
             ("quaternion", |own| own.quaternion_norm_max = 0.99),
             ("phase", |own| own.phase_min = 0.9),
