@@ -6,9 +6,9 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use kinegrad_data::file::{is_inside, regular};
+use kinegrad_data::file::regular;
 use kinegrad_train::checkpoint::{Best, Checkpoints, State};
-use kinegrad_train::run::{PREVIEWS, REPORTS, SAMPLES, is_in_use};
+use kinegrad_train::run::{PREVIEWS, REPORTS, SAMPLES, is_in_use, saved_config};
 use kinegrad_train::{Config, Error, Systems};
 
 /// Subfolders of a run that contain no runs.
@@ -155,21 +155,6 @@ impl Run {
         let config = self.config.as_ref()?;
         (self.status != RunStatus::Weights).then_some(config.train.max_steps)
     }
-}
-
-/// The config beside the checkpoints, if the file exists; an error if it lies elsewhere.
-fn saved_config(systems: Systems<'_>, folder: &Path) -> Result<Option<Config>, Error> {
-    let path = folder.join("config.toml");
-    if !path.exists() {
-        return Ok(None);
-    }
-    if !is_inside(folder, &path).map_err(Error::io("read", &path))? {
-        return Err(Error::usage(
-            format!("{} is a link that leads out of the run", path.display()),
-            "put the file itself into the run's folder",
-        ));
-    }
-    Ok(Some(systems.load(&path, &[])?))
 }
 
 /// The newest complete checkpoint with its state, and the problems of damaged checkpoints, newest

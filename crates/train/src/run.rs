@@ -11,4 +11,6 @@ pub use folder::{
     preview_page, remove,
 };
 pub use plan::Plan;
-pub use start::{Target, TrainRequest, load_config, train, train_config, train_distributed};
+pub use start::{
+    Target, TrainRequest, load_config, saved_config, train, train_config, train_distributed,
+};

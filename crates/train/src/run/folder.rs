@@ -12,7 +12,7 @@ use crate::config::{self, Config};
 use crate::error::Error;
 use crate::telemetry;
 
-const CONFIG: &str = "config.toml";
+pub(super) const CONFIG: &str = "config.toml";
 const LOCK: &str = "lock";
 
 /// Folder of the samples at a run's end.

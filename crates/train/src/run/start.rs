@@ -9,10 +9,11 @@ use toml::Table;
 
 use super::context::{Outcome, RunContext};
 use super::folder::{
-    contains_run, exists_already, lock, must_be_a_folder, must_be_unused, must_have_own_files,
+    CONFIG, contains_run, exists_already, lock, must_be_a_folder, must_be_inside, must_be_unused,
+    must_have_own_files,
 };
 use crate::checkpoint::Checkpoints;
-use crate::config::{self, Config, ConfigError, OptimPlace};
+use crate::config::{self, Config, OptimPlace};
 use crate::error::Error;
 use crate::memory;
 use crate::observer::Observer;
@@ -192,10 +193,17 @@ pub fn load_config(
     }
 }
 
-/// The saved config of the run in `folder`, if there is one.
-fn saved_config(systems: Systems<'_>, folder: &Path) -> Result<Option<Config>, ConfigError> {
-    let path = folder.join("config.toml");
-    path.exists().then(|| systems.load(&path, &[])).transpose()
+/// The config beside the checkpoints of the run in `folder`, if the file exists.
+///
+/// # Errors
+/// [`Error::Usage`] for a link that leads out of the run, else as [`Systems::load`].
+pub fn saved_config(systems: Systems<'_>, folder: &Path) -> Result<Option<Config>, Error> {
+    let path = folder.join(CONFIG);
+    if !path.exists() {
+        return Ok(None);
+    }
+    must_be_inside(folder, CONFIG)?;
+    Ok(Some(systems.load(&path, &[])?))
 }
 
 /// Trains the run of a resolved config, in the folder of its name under `runs_dir`. Collective.
