@@ -1,5 +1,6 @@
 //! Meshes: capsules over bones, a box for a lone root.
 
+use std::collections::HashMap;
 use std::f32::consts::{FRAC_PI_2, TAU};
 
 use serde_json::{Value, json};
@@ -33,12 +34,17 @@ impl Mesh {
         let mut mesh = Self::default();
         let places: Vec<[f32; 3]> = rig.joints.iter().map(|node| bind[*node]).collect();
         let figure = Figure::of(object);
-        for (index, node) in rig.nodes.iter().enumerate() {
-            let is_own = |end: usize| node.bones_to.contains(&end);
-            for bone in figure.bones.iter().filter(|bone| is_own(bone.joint)) {
-                mesh.capsule([bind[index], places[bone.joint]], bone.radius as f32);
-                mesh.joints.resize(mesh.places.len(), index as u16);
-            }
+        let nodes = rig.nodes.iter().enumerate();
+        let owners =
+            nodes.flat_map(|(index, node)| node.bones_to.iter().map(move |&end| (end, index)));
+        let owners: HashMap<usize, usize> = owners.collect();
+        let bones = figure.bones.iter();
+        let bones = bones.filter_map(|bone| Some((*owners.get(&bone.joint)?, bone)));
+        let mut bones: Vec<_> = bones.collect();
+        bones.sort_by_key(|(index, _)| *index);
+        for (index, bone) in bones {
+            mesh.capsule([bind[index], places[bone.joint]], bone.radius as f32);
+            mesh.joints.resize(mesh.places.len(), index as u16);
         }
         if let Some([head, top]) = figure.head {
             let center = [0, 1, 2].map(|axis| (places[head][axis] + places[top][axis]) / 2.0);
