@@ -50,7 +50,8 @@ pub fn line(text: &str) -> String {
 
 /// [`line()`] of at most about [`MOST`] characters, for errors and warnings.
 pub fn message(text: &str) -> String {
-    line(&bounded(text))
+    // Escaped characters are longer.
+    bounded(&line(&bounded(text))).into_owned()
 }
 
 /// The text, without its middle if it is longer than [`MOST`] characters.
@@ -107,6 +108,8 @@ mod tests {
             "{shown}"
         );
         assert!(shown.contains("[11009 characters left out]"), "{shown}");
+        let controls = message(&"\0".repeat(MOST));
+        assert!(controls.chars().count() < MOST + 60, "{}", controls.len());
     }
 
     #[test]

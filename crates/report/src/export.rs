@@ -51,6 +51,17 @@ pub enum ExportError {
         /// Number of pictures.
         pictures: usize,
     },
+    /// An object has more nodes than a skin of glTF can name.
+    #[error("{}: `{object}` needs {nodes} nodes, at most {} are written", out.display(), MOST_NODES)]
+    #[diagnostic(help("glTF counts the joints of a skin in 16 bits: leave joints out"))]
+    TooManyJoints {
+        /// The file that was to be written.
+        out: PathBuf,
+        /// Name of the object.
+        object: String,
+        /// Number of nodes.
+        nodes: usize,
+    },
     /// Stopped by the caller.
     #[error("{}: interrupted, nothing is written", out.display())]
     Interrupted {
@@ -98,6 +109,9 @@ pub enum ExportError {
 
 /// Most pictures of a video or animated picture: a day at 30 a second.
 pub(crate) const MOST_PICTURES: usize = 24 * 3600 * 30;
+
+/// Most nodes of an object in a glTF file.
+pub(crate) const MOST_NODES: usize = 1 << 16;
 
 /// Called with the number of finished pictures and of all; returns true to stop.
 pub type Stop<'a> = &'a dyn Fn(usize, usize) -> bool;

@@ -29,7 +29,7 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(20);
 
 /// Bytes of a page of a listing, whose transfer limits the time until the next object: pages may be
 /// empty without end.
-const PAGE: u64 = 1 << 18;
+const PAGE: u64 = 1 << 16;
 
 /// Most objects in a listing.
 const MOST_LISTED: usize = 1_000_000;

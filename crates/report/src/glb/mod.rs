@@ -40,9 +40,20 @@ const GAP: f32 = 1.0;
 /// Writes a scene as a binary glTF file.
 ///
 /// # Errors
-/// The errors of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::Write`].
+/// The errors of [`must_be_exportable`](crate::must_be_exportable); [`ExportError::TooManyJoints`],
+/// [`ExportError::Write`].
 pub fn write(scene: &Scene, out: &Path) -> Result<(), ExportError> {
     export::check(scene, out)?;
+    for object in &scene.objects {
+        let nodes = Rig::new(object).nodes.len();
+        if nodes > export::MOST_NODES {
+            return Err(ExportError::TooManyJoints {
+                out: out.to_path_buf(),
+                object: object.name.clone(),
+                nodes,
+            });
+        }
+    }
     export::write(out, &encode(scene))
 }
 
