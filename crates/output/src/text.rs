@@ -6,6 +6,9 @@ use std::borrow::Cow;
 /// Longest message, in characters.
 pub const MOST: usize = 4_000;
 
+/// Longest mark of what is left out, in characters.
+const MARK: usize = 60;
+
 /// Characters of the end of a longer message.
 const END: usize = 800;
 
@@ -50,21 +53,21 @@ pub fn line(text: &str) -> String {
 
 /// [`line()`] of at most about [`MOST`] characters, for errors and warnings.
 pub fn message(text: &str) -> String {
-    // Escaped characters are longer.
-    bounded(&line(&bounded(text))).into_owned()
+    // Escaped characters are longer than their text.
+    bounded(&line(&bounded(text, MOST)), MOST + MARK).into_owned()
 }
 
-/// The text, without its middle if it is longer than [`MOST`] characters.
-fn bounded(text: &str) -> Cow<'_, str> {
+/// The text, without its middle if it is longer than `most` characters.
+fn bounded(text: &str, most: usize) -> Cow<'_, str> {
     let all = text.chars().count();
-    if all <= MOST {
+    if all <= most {
         return Cow::Borrowed(text);
     }
     let place = |n: usize| text.char_indices().nth(n).map_or(text.len(), |(at, _)| at);
-    let (start, end) = (&text[..place(MOST - END)], &text[place(all - END)..]);
+    let (start, end) = (&text[..place(most - END)], &text[place(all - END)..]);
     Cow::Owned(format!(
         "{start} ... [{} characters left out] ... {end}",
-        all - MOST
+        all - most
     ))
 }
 
@@ -109,7 +112,11 @@ mod tests {
         );
         assert!(shown.contains("[11009 characters left out]"), "{shown}");
         let controls = message(&"\0".repeat(MOST));
-        assert!(controls.chars().count() < MOST + 60, "{}", controls.len());
+        assert!(
+            controls.chars().count() < MOST + 2 * MARK,
+            "{}",
+            controls.len()
+        );
     }
 
     #[test]
