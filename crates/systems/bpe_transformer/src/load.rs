@@ -84,10 +84,13 @@ pub(super) fn trained(
 }
 
 pub(super) fn parameters(config: &Config) -> Result<ParameterCount, Error> {
-    let network = initial_network(config, None, &Device::flex())?;
-    let trained = parameters::trainable(&network);
+    let network = network(config, &Device::flex())?;
     let infos = parameters::infos(&network);
-    Ok(ParameterCount::of(&infos, &[], |index, _| trained[index]))
+    let adapts =
+        (config.train.recipe == ADAPTER).then(|| config.own::<BpeTables>().adapter.last_layers);
+    Ok(ParameterCount::of(&infos, &[], |_, info| {
+        adapts.is_none_or(|last| network.adapts(&info.name, last))
+    }))
 }
 
 pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Error> {

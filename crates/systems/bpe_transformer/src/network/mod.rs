@@ -283,6 +283,15 @@ impl BlendedTransformer {
         adapting
     }
 
+    /// True if [`adapting`](Self::adapting) trains the parameter of this name.
+    pub fn adapts(&self, name: &str, last_layers: usize) -> bool {
+        let layers = self.seqTransEncoder_at_attn_layers_at_layers.len();
+        let layer = name.strip_prefix("seqTransEncoder.attn_layers.layers.");
+        let layer = layer.and_then(|rest| rest.split('.').next()?.parse().ok());
+        let is_last = |layer: usize| layer >= layers.saturating_sub(2 * last_layers);
+        name.starts_with("embed_path.") || layer.is_some_and(is_last)
+    }
+
     /// The embeddings of timesteps: `[batch, width]`.
     pub fn embed_time(&self, time: &[Time], device: &Device) -> Tensor<2> {
         let timesteps: Vec<f64> = time.iter().map(|time| time.0).collect();

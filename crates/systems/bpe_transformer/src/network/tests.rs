@@ -227,6 +227,14 @@ fn adapting_trains_what_reads_the_path_and_the_last_layers() {
         let network = network.adapting(last_layers);
         let infos = parameters::infos(&network).into_iter();
         let trained = infos.zip(parameters::trainable(&network));
+        let trained = trained.inspect(|(info, is)| {
+            assert_eq!(
+                network.adapts(&info.name, last_layers),
+                *is,
+                "{}",
+                info.name
+            );
+        });
         let trained = trained.filter(|(_, is)| *is).map(|(info, _)| info.name);
         trained.collect()
     };
