@@ -133,6 +133,17 @@ mod not_utf8 {
     }
 
     #[test]
+    fn a_run_whose_config_would_name_such_a_folder_is_refused() {
+        let sandbox = sandbox();
+        sandbox.write("c.toml", SMALLEST);
+        let train = "train c.toml --set train.recipe=e2e";
+        let runs = odd("");
+        let mut arguments: Vec<&OsStr> = train.split_whitespace().map(OsStr::new).collect();
+        arguments.extend([OsStr::new("--runs-dir"), runs.as_os_str()]);
+        run(&sandbox, &arguments).failed(2, &["the path is not UTF-8", "--runs-dir"]);
+    }
+
+    #[test]
     fn samples_have_the_names_that_were_asked_for() {
         let sandbox = sandbox();
         sandbox.write("c.toml", SMALLEST);

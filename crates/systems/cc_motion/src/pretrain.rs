@@ -57,6 +57,15 @@ pub(super) fn run(
     group: &Rc<ProcessGroup>,
     observer: &mut dyn Observer,
 ) -> Result<Result<InitConfig, Box<Outcome>>, Error> {
+    if folder.to_str().is_none() {
+        return Err(Error::usage(
+            format!(
+                "{}: the path is not UTF-8, and the config of this run would name its initial runs",
+                folder.display()
+            ),
+            "choose another option `runs_dir`, or set `init.diffusion` and `init.decoder`",
+        ));
+    }
     let pretrain = announce(config, folder, observer);
     if pretrain.diffusion_steps > 0 {
         must_have_base(folder)?;
