@@ -81,7 +81,7 @@ fn the_bounds_of_the_five_checks_are_read_from_a_file() {
     write_values(&sandbox.path("walk.npy"), &[40, 22, 3], &walk).expect("npy");
     sandbox
         .run("check walk.npy --profile ccmotion --thresholds strict.toml")
-        .failed(2, &["a motion that is no phrase"]);
+        .failed(2, &["is for phrases alone"]);
 }
 
 #[test]

@@ -72,8 +72,8 @@ fn unwrapped<T>(mut tensors: BTreeMap<String, T>) -> Result<BTreeMap<String, T>,
     Ok(plain.collect())
 }
 
-/// The tensors behind the only prefix of `known`, the end of a name of each network that may be in
-/// the file; all tensors if there is no such prefix, or several.
+/// The tensors below the prefix of `known`, names of parameters, without it. All tensors if no name
+/// ends so behind a prefix, or if there are several prefixes.
 pub fn without_prefix(
     tensors: BTreeMap<String, Tensor>,
     known: &[&str],

@@ -82,7 +82,7 @@ pub(super) struct TooLong {
     limit: u64,
 }
 
-/// The error of a body: its own, or that of its length. A long refusal is no more than a refusal.
+/// The error of a body. The length of a refusal (status 4xx or 5xx) does not make it permanent.
 fn too_long(error: Box<dyn Error + Send + Sync>, limit: u64, is_success: bool) -> HttpError {
     match error.downcast::<HttpError>() {
         Ok(error) => *error,

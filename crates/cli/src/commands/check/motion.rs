@@ -63,7 +63,7 @@ impl Motion {
             }
             _ => Err(Error::usage(
                 format!(
-                    "{}: option `thresholds` with a motion that is no phrase",
+                    "{}: option `thresholds` is for phrases alone",
                     path.display()
                 ),
                 "the five checks and their bounds are those of phrases `[T, 25]`",
