@@ -29,6 +29,7 @@ mod movement;
 mod newcomer;
 mod own_system;
 mod paths;
+mod pictures;
 mod planned_memory;
 mod plans;
 mod preparation;
