@@ -4,7 +4,6 @@ use std::fs;
 use std::path::Path;
 
 use kinegrad_data::write_values;
-use serde_json::Value;
 
 use crate::reports::{holds, sandbox};
 

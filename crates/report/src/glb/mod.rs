@@ -44,8 +44,9 @@ const GAP: f32 = 1.0;
 /// [`ExportError::Write`].
 pub fn write(scene: &Scene, out: &Path) -> Result<(), ExportError> {
     export::check(scene, out)?;
-    for object in &scene.objects {
-        let nodes = Rig::new(object).nodes.len();
+    let rigs: Vec<Rig> = scene.objects.iter().map(Rig::new).collect();
+    for (object, rig) in scene.objects.iter().zip(&rigs) {
+        let nodes = rig.nodes.len();
         if nodes > export::MOST_NODES {
             return Err(ExportError::TooManyJoints {
                 out: out.to_path_buf(),
@@ -54,14 +55,20 @@ pub fn write(scene: &Scene, out: &Path) -> Result<(), ExportError> {
             });
         }
     }
-    export::write(out, &encode(scene))
+    export::write(out, &encode(scene, &rigs))
 }
 
-fn encode(scene: &Scene) -> Vec<u8> {
+/// The file of a scene with the `rigs` of its objects.
+fn encode(scene: &Scene, rigs: &[Rig]) -> Vec<u8> {
     let mut document = Document::default();
     let spacing = scene.objects.iter().map(width).fold(0.0, f32::max) + GAP;
-    for (index, object) in scene.objects.iter().enumerate() {
-        add(&mut document, object, [spacing * index as f32, 0.0, 0.0]);
+    for (index, (object, rig)) in scene.objects.iter().zip(rigs).enumerate() {
+        add(
+            &mut document,
+            object,
+            rig,
+            [spacing * index as f32, 0.0, 0.0],
+        );
     }
     document.finish(&scene.title, mesh::material())
 }
@@ -73,8 +80,7 @@ fn width(object: &SceneObject) -> f32 {
 }
 
 /// Adds an object: a node for the object, nodes for its joints, an animation and a mesh.
-fn add(document: &mut Document, object: &SceneObject, place: [f32; 3]) {
-    let rig = Rig::new(object);
+fn add(document: &mut Document, object: &SceneObject, rig: &Rig, place: [f32; 3]) {
     let first = document.nodes.len() + 1;
     let holder = push(
         &mut document.nodes,
@@ -94,8 +100,8 @@ fn add(document: &mut Document, object: &SceneObject, place: [f32; 3]) {
         }
         document.nodes.push(node);
     }
-    animate(document, object, &rig, first);
-    add_mesh(document, object, &rig, first, place);
+    animate(document, object, rig, first);
+    add_mesh(document, object, rig, first, place);
 }
 
 /// Adds the animation of moving nodes; `first` is the node of the first joint.

@@ -135,10 +135,36 @@ fn scene(objects: Vec<SceneObject>) -> Scene {
     }
 }
 
+fn encoded(scene: &Scene) -> Vec<u8> {
+    let rigs: Vec<Rig> = scene.objects.iter().map(Rig::new).collect();
+    encode(scene, &rigs)
+}
+
+/// An object whose `joints` are the root and its children.
+fn wide(joints: usize) -> SceneObject {
+    SceneObject {
+        positions: (0..3 * joints).map(|index| index as f32 * 1e-3).collect(),
+        joint_names: (0..joints).map(|joint| format!("joint {joint}")).collect(),
+        parents: (0..joints).map(|joint| (joint > 0).then_some(0)).collect(),
+        ..walker(1)
+    }
+}
+
+#[test]
+fn more_joints_than_a_skin_can_name_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("wide.glb");
+    let error = write(&scene(vec![wide(70_000)]), &out)
+        .unwrap_err()
+        .to_string();
+    assert!(error.contains("at most 65536 are written"), "{error}");
+    assert!(!out.exists());
+}
+
 #[test]
 fn joints_are_where_the_scene_has_them() {
     for object in [walker(60), body(60)] {
-        let reader = Reader::new(&encode(&scene(vec![object.clone()])));
+        let reader = Reader::new(&encoded(&scene(vec![object.clone()])));
         for frame in 0..60 {
             let world = reader.world(&object.name, frame);
             for (joint, name) in object.joint_names.iter().enumerate() {
@@ -158,7 +184,7 @@ fn joints_are_where_the_scene_has_them() {
 #[test]
 fn bones_of_fixed_length_only_turn() {
     let object = walker(30);
-    let reader = Reader::new(&encode(&scene(vec![object.clone()])));
+    let reader = Reader::new(&encoded(&scene(vec![object.clone()])));
     let mut moved: Vec<String> = Vec::new();
     for node in reader.gltf.nodes() {
         if reader.tracks.contains_key(&(node.index(), false)) {
@@ -181,7 +207,7 @@ fn bones_of_fixed_length_only_turn() {
 
 #[test]
 fn rotations_are_continuous() {
-    let reader = Reader::new(&encode(&scene(vec![walker(200)])));
+    let reader = Reader::new(&encoded(&scene(vec![walker(200)])));
     for ((_, turns), (_, values)) in &reader.tracks {
         for pair in values.windows(2).filter(|_| *turns) {
             let product: f32 = pair[0].iter().zip(pair[1]).map(|(a, b)| a * b).sum();
@@ -193,7 +219,7 @@ fn rotations_are_continuous() {
 #[test]
 fn the_skin_follows_its_bones() {
     let object = walker(40);
-    let reader = Reader::new(&encode(&scene(vec![object.clone()])));
+    let reader = Reader::new(&encoded(&scene(vec![object.clone()])));
     let blob = reader.gltf.blob.clone().unwrap();
     let skin = reader.gltf.skins().next().unwrap();
     let joints: Vec<String> = skin
@@ -262,7 +288,7 @@ fn distance(point: [f64; 3], from: [f64; 3], to: [f64; 3]) -> f64 {
 #[test]
 fn a_phrase_is_a_box_that_moves_and_turns() {
     let object = dancer(45, 0.3);
-    let reader = Reader::new(&encode(&scene(vec![object.clone()])));
+    let reader = Reader::new(&encoded(&scene(vec![object.clone()])));
     for frame in 0..45 {
         let (place, turn) = reader.world("phrase", frame)["root"];
         let known = object.joint(frame, 0);
@@ -283,7 +309,7 @@ fn a_phrase_is_a_box_that_moves_and_turns() {
 fn objects_stand_beside_one_another_under_nodes_of_their_own() {
     let mut second = dancer(10, 0.0);
     second.name = "second".into();
-    let reader = Reader::new(&encode(&scene(vec![walker(10), second, body(1)])));
+    let reader = Reader::new(&encoded(&scene(vec![walker(10), second, body(1)])));
     let names: Vec<_> = reader
         .gltf
         .default_scene()
@@ -304,7 +330,7 @@ fn objects_stand_beside_one_another_under_nodes_of_their_own() {
 
 #[test]
 fn numbers_are_aligned_and_have_their_ranges() {
-    let bytes = encode(&scene(vec![walker(7)]));
+    let bytes = encoded(&scene(vec![walker(7)]));
     assert_eq!(bytes.len() % 4, 0);
     assert_eq!(
         u32::from_le_bytes(bytes[8..12].try_into().unwrap()) as usize,
@@ -329,7 +355,7 @@ fn numbers_are_aligned_and_have_their_ranges() {
 fn a_lone_frame_and_points_without_length_are_written() {
     let mut object = body(1);
     object.positions.fill(0.5);
-    let reader = Reader::new(&encode(&scene(vec![object])));
+    let reader = Reader::new(&encoded(&scene(vec![object])));
     assert_eq!(reader.gltf.animations().count(), 0);
     assert_eq!(reader.world("body", 0)["head"].0, [0.5; 3]);
 }
@@ -367,7 +393,7 @@ fn capture(frames: usize) -> SceneObject {
 fn a_hierarchy_keeps_its_nodes_rotations_and_rest_pose() {
     let object = capture(9);
     let hierarchy = object.hierarchy.clone().unwrap();
-    let reader = Reader::new(&encode(&scene(vec![object.clone()])));
+    let reader = Reader::new(&encoded(&scene(vec![object.clone()])));
     let nodes: Vec<Node<'_>> = reader.gltf.nodes().collect();
     // The object, its joints and its skin.
     assert_eq!(nodes.len(), 1 + object.joints() + 1);
@@ -400,7 +426,7 @@ fn files_are_written_whole() {
     write(&scene(vec![walker(3)]), &out).unwrap();
     assert_eq!(
         std::fs::read(&out).unwrap(),
-        encode(&scene(vec![walker(3)]))
+        encoded(&scene(vec![walker(3)]))
     );
     assert!(write(&scene(vec![]), &out).is_err());
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);

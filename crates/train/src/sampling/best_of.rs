@@ -219,7 +219,6 @@ mod tests {
 
     use super::super::{MeasureRecord, MeasuresRecord, SamplerRecord};
     use super::*;
-    use crate::checkpoint::Weights;
     use crate::config::ClipSample;
 
     fn record(failed: usize, skating: f64) -> Record {
@@ -235,41 +234,12 @@ mod tests {
                 failed: vec!["check".to_owned(); failed],
                 far: false,
             }),
-            ..bare()
-        }
-    }
-
-    fn bare() -> Record {
-        Record {
-            kinegrad: String::new(),
-            run: String::new(),
-            checkpoint: "step-00000001".into(),
-            step: 1,
-            weights: Weights::Ema,
-            system: String::new(),
-            recipe: String::new(),
-            seed: 0,
-            index: 0,
-            frames: 1,
-            fps: 30.0,
-            sampler: SamplerRecord {
+            ..Record::blank(SamplerRecord {
                 settings: SamplerConfig::default(),
                 clip: ClipSample::default(),
                 padding: None,
                 steering: None,
-            },
-            post_processing: None,
-            windows: None,
-            rollout: None,
-            composition: None,
-            path: None,
-            ground: None,
-            body: None,
-            phrase: None,
-            beat_alignment: None,
-            selection: None,
-            condition: Vec::new(),
-            batch: None,
+            })
         }
     }
 

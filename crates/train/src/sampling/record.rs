@@ -184,7 +184,6 @@ impl Record {
     pub fn new(system: &str, trained: &TrainedModel, seed: u64) -> Self {
         let config = trained.config();
         Self {
-            kinegrad: env!("CARGO_PKG_VERSION").into(),
             run: config.run.name.clone(),
             checkpoint: trained.path().to_path_buf(),
             step: trained.saved.state.step,
@@ -192,15 +191,30 @@ impl Record {
             system: system.into(),
             recipe: config.train.recipe.clone(),
             seed,
-            index: 0,
-            frames: 0,
-            fps: 0.0,
-            sampler: SamplerRecord {
+            ..Self::blank(SamplerRecord {
                 settings: config.sampling.sampler.clone(),
                 clip: config.sampling.clip,
                 padding: None,
                 steering: None,
-            },
+            })
+        }
+    }
+
+    /// The record of a sample of no run.
+    pub(super) fn blank(sampler: SamplerRecord) -> Self {
+        Self {
+            kinegrad: env!("CARGO_PKG_VERSION").into(),
+            run: String::new(),
+            checkpoint: PathBuf::new(),
+            step: 0,
+            weights: Weights::Ema,
+            system: String::new(),
+            recipe: String::new(),
+            seed: 0,
+            index: 0,
+            frames: 0,
+            fps: 0.0,
+            sampler,
             post_processing: None,
             windows: None,
             rollout: None,

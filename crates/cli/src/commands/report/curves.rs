@@ -37,13 +37,13 @@ pub fn charts(runs: &[Metrics<'_>]) -> Vec<Panel> {
             names.push(name.as_str());
         }
     }
+    // Colors and places do not depend on the first record.
+    let place = |name: &&str| ORDER.iter().position(|known| known == name);
+    names.sort_by_key(|name| place(name).unwrap_or(ORDER.len()));
     if names.len() > MOST_NAMES {
         tell!("note: {MOST_NAMES} of {} metrics are shown", names.len());
         names.truncate(MOST_NAMES);
     }
-    // Colors and places do not depend on the first record.
-    let place = |name: &&str| ORDER.iter().position(|known| known == name);
-    names.sort_by_key(|name| place(name).unwrap_or(ORDER.len()));
     let chart = |title: &str, names: &[&str], prefix: &str| {
         let lines = runs.iter().flat_map(|(run, records)| {
             names.iter().map(|name| match runs.len() {
@@ -150,7 +150,7 @@ mod tests {
     #[test]
     fn of_very_many_scalars_the_first_are_shown() {
         let named = |record: Record, index| record.with(format!("mine {index}"), 1.0);
-        let record = (0..1000).fold(Record::new(1).with("loss", 2.0), named);
+        let record = (0..1000).fold(Record::new(1), named).with("loss", 2.0);
         let titles = charts(&[("run", &[record])]);
         let titles: Vec<&str> = titles.iter().map(Panel::title).collect();
         assert_eq!(titles.len(), MOST_NAMES);
