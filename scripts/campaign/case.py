@@ -158,7 +158,9 @@ class Case:
         self.peak = max(self.peak, ended.peak)
         if not ended.killed:
             self.slowest = max(self.slowest, (ended.cpu, shlex.join(ended.arguments)))
-        most = self.setting.resident + RESIDENT_ROOM
+        # A setting may ask for a large network.
+        room = ROOM if ended.limits.much else RESIDENT_ROOM
+        most = self.setting.resident + room
         for fault in judged(ended, self.label, allowed, most):
             self.finding(fault, ended)
         for kind, found in table_faults(self.folder, self.since):

@@ -87,6 +87,9 @@ fn published_weights_of_the_transformer_become_a_run() {
     sandbox
         .run(&format!("{import} --projection m.npy"))
         .failed(2, &["`--projection` with `--arch mdm`"]);
+    sandbox
+        .run(&format!("{import} --padded-frames 64"))
+        .failed(2, &["`--padded-frames` with `--arch mdm`"]);
     let said = sandbox.run(import).succeeded();
     // Three tensors of the text encoder, and the table twice.
     assert!(

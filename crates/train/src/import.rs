@@ -26,8 +26,8 @@ pub struct ImportRequest {
     pub std: Option<PathBuf>,
     /// `.npy` file of a projection's matrix, for a model that works in a projected space.
     pub projection: Option<PathBuf>,
-    /// Frames that the network pads every clip to.
-    pub padded_frames: usize,
+    /// Frames that the network pads every clip to, for a network that pads.
+    pub padded_frames: Option<usize>,
     /// Import the weights of the last step instead of the moving average.
     pub last: bool,
     /// Settings of the new run, `KEY=VALUE`.
@@ -48,6 +48,17 @@ impl ImportRequest {
                 let message = "the statistics of the weights' training data are missing";
                 Err(Error::usage(message, hint))
             }
+        }
+    }
+
+    /// Checks that no number of padded frames is given, for a network that does not pad.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] if one is given.
+    pub fn must_not_pad(&self) -> Result<(), Error> {
+        match self.padded_frames {
+            None => Ok(()),
+            Some(_) => Err(self.refused("padded_frames", "only UNets pad: leave it out")),
         }
     }
 

@@ -107,7 +107,7 @@ fn the_transformer_is_that_of_pytorch() {
 fn imported(
     name: &str,
     architecture: &str,
-    padded_frames: usize,
+    padded_frames: Option<usize>,
     last: bool,
     device: &Device,
 ) -> TextDenoiser {
@@ -154,9 +154,9 @@ fn imported_checkpoints_answer_as_in_pytorch() {
         let config: serde_json::Value =
             serde_json::from_str(golden.metadata("config")).expect("the sizes");
         let padded = config["padded_frames"].as_u64().expect("a length") as usize;
-        let architecture = match file {
-            "checkpoint_mdm" => "mdm",
-            _ => "gmd_trajectory",
+        let (architecture, padded) = match file {
+            "checkpoint_mdm" => ("mdm", None),
+            _ => ("gmd_trajectory", Some(padded)),
         };
         let network = imported(&format!("{file}.pt"), architecture, padded, last, &tracked);
         let y = answer(&network, &golden, &device, told);

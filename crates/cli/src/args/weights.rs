@@ -26,9 +26,9 @@ pub struct ImportArguments {
     /// Emphasis projection matrix used in training
     #[arg(long, value_name = "P.npy")]
     pub projection: Option<PathBuf>,
-    /// Number of frames that the network pads clips to
-    #[arg(long, default_value_t = 224, value_name = "T")]
-    pub padded_frames: usize,
+    /// Number of frames that a UNet pads clips to (default: 224)
+    #[arg(long, value_name = "T")]
+    pub padded_frames: Option<usize>,
     /// Use `model`, the weights of the last step, instead of `model_avg`
     #[arg(long)]
     pub last: bool,

@@ -41,6 +41,7 @@ pub(super) fn import(request: &ImportRequest) -> Result<Imported, Error> {
         let hint = "its files have one set of weights: leave it out";
         return Err(request.refused("last", hint));
     }
+    request.must_not_pad()?;
     must_be_free(&request.out)?;
     let tensors = read_tensors(&request.weights)?;
     let inside = part_of(&tensors, "model");

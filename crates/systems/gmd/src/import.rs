@@ -77,6 +77,9 @@ pub fn import(request: &ImportRequest) -> Result<Imported, Error> {
             return Err(request.refused("projection", hint));
         }
     }
+    if architecture == Architecture::Mdm {
+        request.must_not_pad()?;
+    }
     must_be_free(&request.out)?;
     let (part, tensors) = read_weights(&request.weights, request.last)?;
     let (tensors, skipped) = needed(tensors, &[]);
@@ -156,13 +159,15 @@ impl Sizes {
             return Err(lacking(plain_name));
         }
         let mults = levels.iter().map(|&level| level as f64 / width as f64);
-        let network = GmdUnetConfig {
+        let mut network = GmdUnetConfig {
             latent_dim: width,
             dim_mults: mults.collect(),
             adagn,
-            padded_frames: request.padded_frames,
             ..GmdUnetConfig::default()
         };
+        if let Some(frames) = request.padded_frames {
+            network.padded_frames = frames;
+        }
         network.validate()?;
         let known = GmdUnetConfig::SIZES.iter().find(|(_, of_size)| {
             let of_size = of_size();
