@@ -39,12 +39,14 @@ fn a_folder_that_is_no_run_is_left_as_it_is() {
 #[test]
 fn what_an_early_kill_leaves_stops_no_run() {
     let sandbox = sandbox();
-    for name in ["lock", ".writing-config.toml"] {
+    let unfinished = ".writing-0123456789.tmp";
+    for name in ["lock", ".writing-config.toml", unfinished] {
         sandbox.write(&format!("runs/smallest/{name}"), "");
     }
     sandbox
         .run("train c.toml --set train.max_steps=2")
         .succeeded();
+    assert!(!sandbox.path("runs/smallest").join(unfinished).exists());
 }
 
 #[test]

@@ -337,6 +337,8 @@ fn write_start(
             if contains_run(folder)? {
                 return Err(exists_already(&config.run.name, folder));
             }
+            // A process may have ended before its first checkpoint.
+            kinegrad_output::remove_unfinished(folder);
             lock
         }
     };
