@@ -1,6 +1,6 @@
 //! Motions of one skeleton on the joints and bones of another.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 use kinegrad_capture::{Bvh, Joint, RootPose, UpAxis};
 use kinegrad_motion::Quaternion;
@@ -83,7 +83,8 @@ pub(super) struct CommonSkeleton {
     /// Joints with their bones as offsets; the root is first.
     joints: Vec<Joint>,
     parents: Vec<Option<usize>>,
-    feet: Vec<usize>,
+    children: Vec<Vec<usize>>,
+    feet: BTreeSet<usize>,
 }
 
 impl CommonSkeleton {
@@ -95,6 +96,12 @@ impl CommonSkeleton {
         let own = Skeleton::new(first, common.to_vec());
         let all = first.bvh.joints();
         let parents = nearest_above(all, common);
+        let mut children = vec![Vec::new(); common.len()];
+        for (place, parent) in parents.iter().enumerate() {
+            if let Some(parent) = parent {
+                children[*parent].push(place);
+            }
+        }
         let mut joints: Vec<Joint> = Vec::with_capacity(common.len());
         for (place, (&joint, parent)) in common.iter().zip(&parents).enumerate() {
             if parent.is_none() && place > 0 {
@@ -107,15 +114,17 @@ impl CommonSkeleton {
                 return Err(Error::file(&first.file, problem, hint));
             }
             let offset = parent.map_or([0.0; 3], |parent| own.bone(parent, place));
-            let is_leaf = !parents.contains(&Some(place));
-            let end = furthest_end(&first.bvh, &own.rest, joint).filter(|_| is_leaf);
+            let end = match children[place].is_empty() {
+                true => furthest_end(&first.bvh, &own.rest, joint),
+                false => None,
+            };
             joints.push(Joint::new(all[joint].name.clone(), *parent, offset, end));
         }
-        let feet = feet(&joints);
         Ok(Self {
+            feet: feet(&joints).into_iter().collect(),
             joints,
             parents,
-            feet,
+            children,
         })
     }
 
@@ -237,10 +246,9 @@ impl CommonSkeleton {
         for joint in 0..self.joints.len() {
             let parent = self.parents[joint];
             let base = parent.map_or(Quaternion::IDENTITY, |parent| corrections[parent]);
-            let children =
-                (0..self.joints.len()).filter(|&child| self.parents[child] == Some(joint));
+            let children = self.children[joint].iter();
             let bones =
-                children.map(|child| (self.joints[child].offset, source.bone(joint, child)));
+                children.map(|&child| (self.joints[child].offset, source.bone(joint, child)));
             let bones: Vec<[[f64; 3]; 2]> = bones
                 .filter(|(own, other)| length(*own) > 0.0 && length(*other) > 0.0)
                 .map(|(own, other)| [unit(base.rotate(own)), unit(other)])
