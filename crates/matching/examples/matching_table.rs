@@ -54,8 +54,16 @@ fn main() {
         .collect();
     println!("joints measured: {} (0: all)", measured.len());
     println!(
-        "{:24} {:>14} {:>14} {:>14} {:>14} {:>14} {:>12} {:>9}",
-        "setting", "coverage", "window cost", "local", "global", "copied", "splices/s", "seconds"
+        "{:24} {:>14} {:>14} {:>14} {:>14} {:>14} {:>14} {:>12} {:>9}",
+        "setting",
+        "coverage",
+        "window cost",
+        "local",
+        "global",
+        "novelty",
+        "copied",
+        "splices/s",
+        "seconds"
     );
     for (name, change) in changes(quick) {
         row(&name, &change, &examples, seeds, &measured);
@@ -126,7 +134,7 @@ fn changes(presets_alone: bool) -> Vec<(String, Change)> {
 }
 
 fn row(name: &str, change: &Change, examples: &[Example], seeds: u64, joints: &[usize]) {
-    let mut columns: [Vec<f64>; 7] = Default::default();
+    let mut columns: [Vec<f64>; 8] = Default::default();
     for seed in 0..seeds {
         let mut job = Job {
             seed,
@@ -151,16 +159,18 @@ fn row(name: &str, change: &Change, examples: &[Example], seeds: u64, joints: &[
             window_cost,
             local_diversity,
             global_diversity,
+            novelty,
             ..
         } = measures;
-        let novelty = made.novelty()[0];
+        let runs = made.novelty()[0];
         let values = [
             coverage,
             window_cost,
             local_diversity,
             global_diversity.unwrap_or(f64::NAN),
-            novelty.copied,
-            novelty.splices_per_second,
+            novelty.unwrap_or(f64::NAN),
+            runs.copied,
+            runs.splices_per_second,
             seconds,
         ];
         for (column, value) in columns.iter_mut().zip(values) {
@@ -176,14 +186,24 @@ fn row(name: &str, change: &Change, examples: &[Example], seeds: u64, joints: &[
             .sum::<f64>();
         (mean, (square / (n - 1.0).max(1.0)).sqrt())
     });
-    let [coverage, cost, local, global, copied, splices, seconds] = cells;
+    let [
+        coverage,
+        cost,
+        local,
+        global,
+        novelty,
+        copied,
+        splices,
+        seconds,
+    ] = cells;
     let spread = |(mean, deviation): (f64, f64)| format!("{mean:.3} ({deviation:.3})");
     println!(
-        "{name:24} {:>14} {:>14} {:>14} {:>14} {:>14} {:>12.2} {:>9.3}",
+        "{name:24} {:>14} {:>14} {:>14} {:>14} {:>14} {:>14} {:>12.2} {:>9.3}",
         spread(coverage),
         spread(cost),
         spread(local),
         spread(global),
+        spread(novelty),
         spread(copied),
         splices.0,
         seconds.0
