@@ -1,7 +1,7 @@
 use burn::module::{Module, Param};
 use burn::tensor::Tensor;
 use burn::tensor::activation::softmax;
-use kinegrad_kernels::{Convolution, gelu, product, self_attention};
+use kinegrad_kernels::{Convolution, gelu, product, self_attention, stored};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -90,6 +90,7 @@ impl SelfAttention {
     fn heads(&self, x: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
         let projected = Convolution::new(self.in_proj_weight.val().unsqueeze_dim(2), 1)
             .bias(self.in_proj_bias.val())
+            .recomputed()
             .forward(x);
         let [batch, _, tokens] = projected.dims();
         let shape = [batch, self.num_heads, tokens, tokens];
@@ -171,7 +172,7 @@ impl EncoderLayer {
 
     /// `residual + linear2(gelu(linear1(x)))`.
     fn mapped(&self, residual: Tensor<3>, x: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
-        let h = gelu(self.linear1.forward_frames(x));
+        let h = gelu(self.linear1.operation().recomputed().forward(x));
         let h = self.between.forward(h, dropout);
         added(residual, &self.linear2, h, &self.mapped, dropout)
     }
@@ -186,7 +187,7 @@ fn added(
     key: DropoutKey,
 ) -> Tensor<3> {
     match dropout.drops(key) {
-        true => dropout.forward(map.forward_frames(x), key) + residual,
+        true => stored(dropout.forward(map.forward_frames(x), key) + residual),
         false => map.forward_frames_onto(residual, x),
     }
 }

@@ -91,13 +91,14 @@ impl PoseCentricAttention {
         let (cond, rows) = (shared.cond.clone(), shared.rows.clone());
         let merge = &self.custom_query_fn;
         let merged = merge.forward_frames_cond(u.clone(), cond, rows);
-        let mut queries = self.to_q.forward_frames(merged);
-        let mut keys = self.to_k.forward_frames(u.clone());
+        let recomputed = |map: &Unbiased, x| map.operation().recomputed().forward(x);
+        let mut queries = recomputed(&self.to_q, merged);
+        let mut keys = recomputed(&self.to_k, u.clone());
         if let Some(rotation) = &shared.rotation {
             queries = rotation.turn(queries, self.heads);
             keys = rotation.turn(keys, self.heads);
         }
-        let keys_values = concat_channels(keys, self.to_v.forward_frames(u));
+        let keys_values = concat_channels(keys, recomputed(&self.to_v, u));
         ranged_attention(queries, keys_values, self.heads, &shared.ranges)
     }
 }
@@ -181,7 +182,7 @@ impl SubLayer {
             }
             Self::FeedForward(layer) => {
                 let u = layer.at_0_at_0.forward_tokens(x);
-                gelu(layer.at_1.ff_at_0_at_0.forward_frames(u))
+                gelu(layer.at_1.ff_at_0_at_0.operation().recomputed().forward(u))
             }
         }
     }
