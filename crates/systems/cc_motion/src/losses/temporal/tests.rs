@@ -221,7 +221,9 @@ fn position_smoothness_is_the_excess_of_each_step_over_the_threshold() {
         _ => 7.0 * (frame as f64 + channel as f64).sin(),
     };
     let of = |sample: usize, threshold: f64| -> f64 {
-        let excess = steps[sample].iter().map(|step: &f64| step.abs() - threshold);
+        let excess = steps[sample]
+            .iter()
+            .map(|step: &f64| step.abs() - threshold);
         excess.map(|excess| excess.max(0.0)).sum::<f64>() / 3.0
     };
     let weight = 2.5;
