@@ -6,7 +6,7 @@ use kinegrad_capture::UpAxis;
 
 use super::values::named;
 
-/// Facts that BVH files do not contain.
+/// Facts that motion files do not contain, and the motion to read.
 #[derive(Debug, Args)]
 pub struct BvhArguments {
     /// Unit of BVH files: m, cm, mm, inch, cmu, or a number of meters [default: guessed from the
@@ -16,6 +16,10 @@ pub struct BvhArguments {
     /// Axis of BVH files that points up: y or z [default: guessed from the feet]
     #[arg(long, value_parser = named::<UpAxis>, value_name = "AXIS")]
     pub up: Option<UpAxis>,
+    /// Number of the motion in a file of several, such as the results.npy of MDM and FlowMDM, from
+    /// 0 [default: 0]
+    #[arg(long, value_name = "N")]
+    pub index: Option<usize>,
 }
 
 /// Facts that motion files do not contain.

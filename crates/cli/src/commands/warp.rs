@@ -236,7 +236,7 @@ fn read_motion(
 ) -> Result<(Joints, Skeleton), Error> {
     let (joints, skeleton) = match is_bvh(path) {
         true => (read_body(path, reading, false)?, Skeleton::humanml3d()),
-        false => MotionArray::read(systems, path)?.body()?,
+        false => MotionArray::read(systems, path, reading.index)?.body()?,
     };
     if joints.frames() < 2 {
         let message = format!("{} has a single frame", path.display());

@@ -54,13 +54,16 @@ pub fn read_body(path: &Path, reading: &BvhReading, retarget: bool) -> Result<Jo
     Ok(joints)
 }
 
-/// The unit and vertical axis of BVH files; absent values are guessed from the body.
+/// How a motion file is read: the unit and vertical axis of BVH files, where absent values are
+/// guessed from the body; and the motion.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct BvhReading {
     /// Length of a unit.
     pub units: Option<Units>,
     /// Axis that points up.
     pub up: Option<UpAxis>,
+    /// Number of the motion in a file of several.
+    pub index: Option<usize>,
 }
 
 impl BvhReading {
@@ -69,6 +72,7 @@ impl BvhReading {
         Self {
             units: arguments.units,
             up: arguments.up,
+            index: arguments.index,
         }
     }
 }

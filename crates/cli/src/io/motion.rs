@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use kinegrad_data::{Array, read_array};
+use kinegrad_data::{Array, MotionFile};
 use kinegrad_motion::Representation;
 use kinegrad_motion::humanml::{Joints, Skeleton};
 use kinegrad_train::{Error, Systems};
@@ -25,9 +25,10 @@ impl Motion {
     /// motion.
     pub fn read(systems: Systems<'_>, path: &Path, reading: &BvhReading) -> Result<Self, Error> {
         if is_bvh(path) {
+            must_have(path, reading.index.unwrap_or(0), 1)?;
             return Capture::read(path, reading).map(Self::Bvh);
         }
-        let array = read_array(path)?;
+        let array = read_frames(path, reading.index)?;
         match (recognise(systems, path, &array), &array.shape[..]) {
             (Ok(representation), _) => {
                 Ok(Self::Array(MotionArray::new(path, representation, array)))
@@ -39,6 +40,49 @@ impl Motion {
             (Err(error), _) => Err(error),
         }
     }
+}
+
+/// Refuses the number of a motion that a file of `count` motions lacks.
+fn must_have(path: &Path, index: usize, count: usize) -> Result<(), Error> {
+    if index < count {
+        return Ok(());
+    }
+    let path = path.display();
+    let message = match count {
+        1 => format!("option `index {index}`, and {path} has one motion"),
+        _ => format!("option `index {index}`, and {path} has {count} motions"),
+    };
+    Err(Error::usage(message, "motions count from 0"))
+}
+
+/// Motion `index` of a `.npy` file, one row per frame. Other programs store joint positions with the
+/// frames last, `[J, 3, T]`, several motions as `[N, J, 3, T]`, and both in pickled dictionaries.
+fn read_frames(path: &Path, index: Option<usize>) -> Result<Array, Error> {
+    let (array, lengths) = match MotionFile::read(path)? {
+        MotionFile::Array(array) => (array, None),
+        MotionFile::Results(results) => (results.motion, results.lengths),
+    };
+    let (count, joints, frames) = match array.shape[..] {
+        [joints, 3, frames] if frames != 3 => (1, joints, frames),
+        [count, joints, 3, frames] => (count, joints, frames),
+        _ => {
+            must_have(path, index.unwrap_or(0), 1)?;
+            return Ok(array);
+        }
+    };
+    if index.is_none() && count > 1 {
+        let path = path.display();
+        tell!("note: {path} has {count} motions, this is the first: `--index 1` takes the next");
+    }
+    let index = index.unwrap_or(0);
+    must_have(path, index, count)?;
+    let values = &array.values[index * joints * 3 * frames..];
+    let length = lengths.map_or(frames, |lengths| lengths[index]);
+    let rows = (0..length).flat_map(|t| (0..3 * joints).map(move |row| values[row * frames + t]));
+    Ok(Array {
+        values: rows.collect(),
+        shape: vec![length, joints, 3],
+    })
 }
 
 fn recognise(
@@ -71,10 +115,10 @@ impl MotionArray {
         }
     }
 
-    /// Reads a `.npy` file. Fails if the file cannot be read, or no system knows its
-    /// representation.
-    pub fn read(systems: Systems<'_>, path: &Path) -> Result<Self, Error> {
-        let array = read_array(path)?;
+    /// Reads motion `index` of a `.npy` file. Fails if the file cannot be read, or no system knows
+    /// its representation.
+    pub fn read(systems: Systems<'_>, path: &Path, index: Option<usize>) -> Result<Self, Error> {
+        let array = read_frames(path, index)?;
         let representation = recognise(systems, path, &array)?;
         Ok(Self::new(path, representation, array))
     }

@@ -49,7 +49,7 @@ pub fn read(systems: Systems<'_>, path: &Path) -> Result<Motion, Error> {
 }
 
 fn read_clip(systems: Systems<'_>, path: &Path, file: String) -> Result<Motion, Error> {
-    let array = MotionArray::read(systems, path)?;
+    let array = MotionArray::read(systems, path, None)?;
     let (joints, skeleton) = array.body()?;
     let bvh = as_bvh(&joints, &skeleton)?;
     let absolute = JointFeatures {

@@ -55,7 +55,7 @@ pub fn section(systems: Systems<'_>, run: &Run) -> Section {
 }
 
 fn read(systems: Systems<'_>, run: &Run, path: &Path) -> Result<Sample, Error> {
-    let array = MotionArray::read(systems, path)?;
+    let array = MotionArray::read(systems, path, None)?;
     let representation = &*array.representation;
     let name = file_stem(path);
     let figure = scene::of(representation, &array.values, name.clone());
