@@ -20,16 +20,10 @@ pub struct BvhArguments {
     /// 0 [default: 0]
     #[arg(long, value_name = "N")]
     pub index: Option<usize>,
-}
-
-/// Facts that motion files do not contain.
-#[derive(Debug, Args)]
-pub struct ReadingArguments {
-    #[command(flatten)]
-    pub bvh: BvhArguments,
-    /// Frames per second of joint positions whose skeleton is unknown
-    #[arg(long, default_value_t = 30.0, value_name = "FPS")]
-    pub fps: f64,
+    /// Frames per second of joint positions and features [default: as in the record beside the file,
+    /// else 20 or 12.5, by the skeleton, and 30 for joints of an unknown skeleton]
+    #[arg(long, value_name = "FPS")]
+    pub fps: Option<f64>,
 }
 
 /// Parses a unit: a name, or a length in meters.

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::reading::ReadingArguments;
+use super::reading::BvhArguments;
 
 /// Arguments of `kinegrad plot`.
 #[derive(Debug, Args)]
@@ -23,7 +23,7 @@ pub struct PlotArguments {
     #[arg(long, value_name = "GOAL.toml")]
     pub goal: Option<PathBuf>,
     #[command(flatten)]
-    pub reading: ReadingArguments,
+    pub reading: BvhArguments,
     /// Image to write
     #[arg(long, value_name = "FILE.svg|FILE.png")]
     pub out: PathBuf,

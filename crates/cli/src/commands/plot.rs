@@ -64,7 +64,7 @@ fn motion_panels(
     if let Motion::Array(array) = &motion {
         return Ok(known_panels(array, name, floor));
     }
-    let figure = scene::of_motion(&motion, name, reading.fps)?;
+    let figure = scene::of_motion(&motion, name)?;
     let body = body_panels(&figure, floor).into_iter();
     Ok(body.chain(scene::curve_panels(&figure)).collect())
 }

@@ -235,8 +235,11 @@ fn read_motion(
     reading: &BvhReading,
 ) -> Result<(Joints, Skeleton), Error> {
     let (joints, skeleton) = match is_bvh(path) {
-        true => (read_body(path, reading, false)?, Skeleton::humanml3d()),
-        false => MotionArray::read(systems, path, reading.index)?.body()?,
+        true => {
+            reading.must_suit_bvh(path)?;
+            (read_body(path, reading, false)?, Skeleton::humanml3d())
+        }
+        false => MotionArray::read(systems, path, reading)?.body()?,
     };
     if joints.frames() < 2 {
         let message = format!("{} has a single frame", path.display());

@@ -64,6 +64,8 @@ pub struct BvhReading {
     pub up: Option<UpAxis>,
     /// Number of the motion in a file of several.
     pub index: Option<usize>,
+    /// Frames per second of an array.
+    pub fps: Option<f64>,
 }
 
 impl BvhReading {
@@ -73,7 +75,22 @@ impl BvhReading {
             units: arguments.units,
             up: arguments.up,
             index: arguments.index,
+            fps: arguments.fps,
         }
+    }
+
+    /// Refuses options that BVH files make superfluous.
+    pub fn must_suit_bvh(&self, path: &Path) -> Result<(), Error> {
+        let (path, hint) = (path.display(), "leave it out");
+        if let Some(index) = self.index.filter(|index| *index > 0) {
+            let message = format!("option `index {index}`, and {path} has one motion");
+            return Err(Error::usage(message, hint));
+        }
+        if let Some(fps) = self.fps {
+            let message = format!("option `fps {fps}`, and {path} has its own rate");
+            return Err(Error::usage(message, hint));
+        }
+        Ok(())
     }
 }
 

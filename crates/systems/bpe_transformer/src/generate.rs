@@ -67,7 +67,7 @@ impl Composer {
 
     /// The largest speed of a root in training.
     pub(super) fn fastest(&self) -> Result<Fastest, Error> {
-        let skeleton = self.config().data.humanml3d.skeleton.skeleton();
+        let skeleton = self.config().data.humanml3d.skeleton();
         Ok(Fastest::of_clips(self.statistics()?, &skeleton))
     }
 
@@ -97,7 +97,7 @@ impl Composer {
         let mut path = None;
         if let Some(target) = target.filter(|_| settings.path.method.conditions()) {
             self.must_have_path()?;
-            let fps = humanml3d.skeleton.skeleton().description().fps;
+            let fps = humanml3d.skeleton().description().fps;
             path = Some(of_path(
                 &target.at_origin().course.points,
                 fps,

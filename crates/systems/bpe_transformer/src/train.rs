@@ -22,7 +22,7 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
     let start = training::start_of(&context, &own.init.diffusion, &BpeTransformer)?;
     let statistics = training::statistics(&context, start.as_ref(), &dataset, observer)?;
     let humanml3d = &config.data.humanml3d;
-    let fps = humanml3d.skeleton.skeleton().description().fps;
+    let fps = humanml3d.skeleton().description().fps;
     let trajectories = RootTrajectories::new(humanml3d.root, &statistics, fps);
     let channels = config.data.humanml3d.representation().channels();
     let network = initial_network(&config, start.as_ref(), &context.device)?;

@@ -24,7 +24,7 @@ fn joint_motion(
         .projection()
         .map(|projection| projection_of(&own.emphasis, &projection.to_host(), channels))
         .transpose()?;
-    let skeleton = config.data.humanml3d.skeleton.skeleton();
+    let skeleton = config.data.humanml3d.skeleton();
     let projection = projection.as_ref();
     Ok(JointMotion::new(
         &own.loss, &skeleton, statistics, projection,
