@@ -25,12 +25,19 @@ impl Rotation {
     /// Rotates the first `channels` (even) channels of each head, in the motions with a true entry
     /// in `turns`. A single entry applies to all motions.
     pub fn new(channels: usize, time: usize, turns: &[bool], device: &Device) -> Self {
-        let half = channels / 2;
+        let positions: Vec<usize> = (0..time).collect();
+        Self::at(channels, &positions, turns, device)
+    }
+
+    /// [`new`](Self::new) for tokens at these positions, `[time]`.
+    pub fn at(channels: usize, positions: &[usize], turns: &[bool], device: &Device) -> Self {
+        let (half, time) = (channels / 2, positions.len());
         // Computed in double precision on the host, like the timestep embedding.
         let frequencies = (0..half).map(|i| 10_000f64.powf(-(i as f64) / half as f64));
         let frequencies: Vec<f64> = frequencies.collect();
-        let angles: Vec<f64> = (0..time)
-            .flat_map(|t| {
+        let angles: Vec<f64> = positions
+            .iter()
+            .flat_map(|&t| {
                 frequencies
                     .iter()
                     .map(move |frequency| t as f64 * frequency)

@@ -141,6 +141,14 @@ impl Unbiased {
         }
     }
 
+    /// The map with zeros as initial weight.
+    #[must_use]
+    pub fn zeroed(self, init: &Initializer) -> Self {
+        Self {
+            weight: init.constant(self.weight.lazy_shape().dims::<2>(), 0.0),
+        }
+    }
+
     /// The map of every frame.
     ///
     /// # Shapes

@@ -9,13 +9,13 @@ use kinegrad_settings::{Refused, in_range, require};
 use kinegrad_train::Error;
 use kinegrad_train::clips::captions::CaptionsConfig;
 use kinegrad_train::clips::settings::{must_be_of_clips, must_have_no_style, validate_velocity};
-use kinegrad_train::config::{ClipSample, Config, ModelTable, NetworkKind, SystemTables};
+use kinegrad_train::config::{ClipSample, Config, ModelTable, NetworkKind, PLAIN, SystemTables};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use super::{ADAPTER, PathConfig, RECIPE};
-use crate::network::BlendedConfig;
+use crate::network::{BlendedConfig, PathTokens};
 
 /// Values of the common tables, from the published program where it defines the value.
 pub(super) const DEFAULTS: &str = r#"
@@ -53,10 +53,14 @@ pub(super) const ADAPTER_DEFAULTS: &str = "
 path = true
 ";
 
-/// Tables of an initial run, with path conditioning.
-pub(super) fn with_paths(mut tables: Table) -> Table {
-    if let Some(model) = tables.get_mut("model").and_then(Value::as_table_mut) {
+/// Tables of an initial run, with path conditioning by `tokens` if it lacks its own.
+pub(super) fn with_paths(mut tables: Table, tokens: PathTokens) -> Table {
+    if let Some(model) = tables.get_mut("model").and_then(Value::as_table_mut)
+        && model.get("path") != Some(&Value::Boolean(true))
+    {
+        let tokens = Value::try_from(tokens).expect(PLAIN);
         model.insert("path".to_string(), Value::Boolean(true));
+        model.insert("path_tokens".to_string(), tokens);
     }
     tables
 }
@@ -210,6 +214,11 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     own.diffusion.validate()?;
     own.text.validate(data)?;
     let adapts = config.train.recipe == ADAPTER;
+    let tokens = sizes.path_tokens;
+    let found = Value::try_from(tokens).expect(PLAIN).to_string();
+    let allowed = "\"added\" without `model.path`";
+    let fits = sizes.path || tokens == PathTokens::Added;
+    require(fits, "model.path_tokens", found, allowed)?;
     let allowed = format!("true for recipe `{ADAPTER}`, which trains the layers of the path");
     require(!adapts || sizes.path, "model.path", false, allowed)?;
     let (key, layers) = ("adapter.last_layers", own.adapter.last_layers);

@@ -108,6 +108,7 @@ impl Composer {
             network,
             segments: segments.clone(),
             path: path.clone(),
+            path_guidance_scale: settings.path.path_guidance_scale,
             switch: Switch {
                 bpe_denoising_step: settings.bpe_denoising_step,
                 num_train_timesteps: self.diffusion.config.num_train_timesteps,

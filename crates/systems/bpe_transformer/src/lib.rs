@@ -91,11 +91,12 @@ impl System for BpeTransformer {
     }
 
     fn inherited(&self, config: &Config, saved: Option<&Config>) -> Result<Option<Table>, Error> {
-        let init = &config.own::<BpeTables>().init.diffusion;
+        let own: &BpeTables = config.own();
+        let (init, tokens) = (&own.init.diffusion, own.model.network.sizes().path_tokens);
         let tables = start::inherited(saved, init, &INHERITED, self)?;
         Ok(
             tables.map(|tables| match config::is_path_conditioned(config) {
-                true => config::with_paths(tables),
+                true => config::with_paths(tables, tokens),
                 false => tables,
             }),
         )
