@@ -8,6 +8,7 @@ use kinegrad_motion::humanml::Root;
 use kinegrad_settings::{Refused, in_range, require};
 use kinegrad_train::Error;
 use kinegrad_train::clips::captions::CaptionsConfig;
+use kinegrad_train::clips::path_condition::PathTrainingConfig;
 use kinegrad_train::clips::settings::{must_be_of_clips, must_have_no_style, validate_velocity};
 use kinegrad_train::config::{ClipSample, Config, ModelTable, NetworkKind, PLAIN, SystemTables};
 use schemars::JsonSchema;
@@ -132,15 +133,6 @@ impl Default for PositionsConfig {
     }
 }
 
-/// The table `paths`: training of a path-conditioned network (`model.path`).
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct PathTrainingConfig {
-    /// Probability of dropping a training sample's path. 0.1 also trains the network without paths.
-    /// Recipe `path_adapter` needs no dropping, because its base was trained without paths.
-    pub drop_prob: f64,
-}
-
 /// The table `init`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -226,10 +218,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let allowed = format!("0 for recipe `{RECIPE}`, which trains all layers");
     require(adapts || layers == 0, key, layers, allowed)?;
     must_be_of_clips(config)?;
-    let (key, prob) = ("paths.drop_prob", own.paths.drop_prob);
-    in_range(key, prob, 0.0..=1.0)?;
-    let allowed = "0 without `model.path`";
-    require(prob == 0.0 || sizes.path, key, prob, allowed)?;
+    own.paths.validate(sizes.path)?;
     let ratio = own.positions.bpe_training_ratio;
     in_range("positions.bpe_training_ratio", ratio, 0.0..=1.0)?;
     let evaluation = &own.evaluation;

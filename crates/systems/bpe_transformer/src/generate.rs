@@ -13,6 +13,7 @@ use kinegrad_motion::{Representation, Statistics};
 use kinegrad_random::Key;
 use kinegrad_train::checkpoint::State;
 use kinegrad_train::clips::captions::TextInput;
+use kinegrad_train::clips::path_condition::of_path;
 use kinegrad_train::clips::path_target::{Fastest, PathTarget};
 use kinegrad_train::clips::{FeatureSpace, TimedPrompt};
 use kinegrad_train::config::Config;
@@ -20,7 +21,6 @@ use kinegrad_train::{Error, TrainedModel};
 
 use super::load::{text_input, trained};
 use super::path::PathControl;
-use super::path_condition::of_path;
 use super::{BpeTables, ComposeEvaluationConfig};
 use crate::network::{BlendedTransformer, Composed, Segment, Switch, TextSegments};
 

@@ -13,7 +13,6 @@ mod import;
 mod load;
 pub mod network;
 mod path;
-mod path_condition;
 mod path_evaluation;
 mod recipe;
 mod report;
@@ -25,7 +24,7 @@ use toml::Table;
 
 pub use config::{
     BpeInitConfig, BpeNetwork, BpeTables, ComposeEvaluationConfig, PathAdapterConfig,
-    PathTrainingConfig, PositionsConfig,
+    PositionsConfig,
 };
 pub use generate::Composer;
 pub use path::{OverrideTarget, PathConfig, PathMethod};

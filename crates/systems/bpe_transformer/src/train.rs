@@ -8,9 +8,9 @@ use kinegrad_train::run::{Outcome, RunContext};
 use kinegrad_train::{Error, Observer};
 
 use super::load::{initial_network, text_input};
-use super::path_condition::RootTrajectories;
 use super::recipe::recipe;
 use super::{BpeTables, BpeTransformer};
+use kinegrad_train::clips::path_condition::RootTrajectories;
 
 pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<Outcome, Error> {
     let mut own = context.config.own::<BpeTables>().clone();

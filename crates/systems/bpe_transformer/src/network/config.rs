@@ -1,6 +1,7 @@
 use kinegrad_models::config::{MAX_LAYERS, MAX_WIDTH, must_be_even};
 use kinegrad_models::{NamedSizes, NetworkConfig};
 use kinegrad_settings::{InvalidSetting, Refused, in_range};
+use kinegrad_train::clips::path_condition::PathTokens;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -36,21 +37,6 @@ pub struct BlendedConfig {
     pub path: bool,
     /// Place of the path's tokens, for networks with a path.
     pub path_tokens: PathTokens,
-}
-
-/// Place of the path's tokens, one per frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum PathTokens {
-    /// Added to the frames' tokens. An untrained path changes nothing.
-    #[default]
-    Added,
-    /// Concatenated to the condition of text and timestep, on which the queries of each layer
-    /// depend. An untrained path changes nothing.
-    Concatenated,
-    /// Additional rows of the sequence, to which the frames attend: twice the work. Frames without
-    /// a path attend to no row.
-    Rows,
 }
 
 impl Default for BlendedConfig {

@@ -28,16 +28,14 @@ use kinegrad_models::time_embedding::interleaved_sinusoidal;
 use kinegrad_models::{Dropout, DropoutKey, Initializer, Stages, parameters};
 use kinegrad_random::Key;
 use kinegrad_settings::InvalidSetting;
+use kinegrad_train::clips::path_condition::kept_by;
 
-pub use config::{BlendedConfig, HEAD_CHANNELS, PathTokens, ROTATED_CHANNELS};
+pub use config::{BlendedConfig, HEAD_CHANNELS, ROTATED_CHANNELS};
+pub use kinegrad_train::clips::path_condition::{PATH_CHANNELS, PathTokens};
 pub use sublayers::{PoseCentricAttention, Shared};
 pub use text_segments::{Segment, TextSegments};
 
 use sublayers::SubLayer;
-
-/// Channels of a path in a frame: position x and z, meters; velocity along x and z, meters per
-/// second; sine and cosine of the heading; curvature, 1 / meter.
-pub const PATH_CHANNELS: usize = 7;
 
 /// The sampling steps with relative positions: the published `bpe_denoising_step`, k. With T
 /// timesteps, t is relative if `t <= T - k`, so `k - 1` steps are absolute. For k = -1 all steps
@@ -242,13 +240,7 @@ impl BlendedTransformer {
                 (h, shared.with_concatenated(masked(path, path_mask)))
             }
             (Some(path), PathTokens::Rows) => {
-                let has_path = match path_mask {
-                    None => vec![true; batch],
-                    Some(mask) => {
-                        let mask = mask.clone().try_into_vec_as::<f32>().expect("float32");
-                        mask.into_iter().map(|value| value > 0.0).collect()
-                    }
-                };
+                let has_path = kept_by(path_mask, batch);
                 let rows = Tensor::cat(vec![h, path + absolute], 2);
                 (rows, shared.with_rows(&has_path, is_relative))
             }
