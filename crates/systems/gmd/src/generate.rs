@@ -352,11 +352,13 @@ impl ClipGenerator {
             Padding::Sampled => vec![frames; batch],
         };
         let path = self.path_of(&stage);
-        let [along, tracked] = [&self.plain, &self.tracked].map(|network| Along {
+        let along = |network, path| Along {
             network,
-            path: path.clone(),
+            path,
             path_guidance_scale: steering.path_guidance_scale,
-        });
+        };
+        let tracked = along(&self.tracked, path.clone().map(Tensor::autodiff));
+        let along = along(&self.plain, path);
         let plain = Padded::new(&along, &self.diffusion, &lengths, &start);
         if stage.goals.is_empty() {
             // Each clip equals the clip sampled alone, to the bit.

@@ -232,7 +232,11 @@ impl BlendedTransformer {
         let absolute = self.absolute(segments, is_relative, frames, &device);
         stages.stage(format_args!("absolute"), || absolute.clone());
         let path = path.and_then(|path| self.embedded_path(path));
-        let h = project_in.forward_frames_onto(absolute.clone(), h);
+        let places = match self.path_tokens {
+            PathTokens::Rows => path.is_some().then(|| absolute.clone()),
+            PathTokens::Added | PathTokens::Concatenated => None,
+        };
+        let h = project_in.forward_frames_onto(absolute, h);
         let (h, shared) = match (path, self.path_tokens) {
             (None, _) => (h, shared),
             (Some(path), PathTokens::Added) => (h + masked(path, path_mask), shared),
@@ -241,8 +245,9 @@ impl BlendedTransformer {
             }
             (Some(path), PathTokens::Rows) => {
                 let has_path = kept_by(path_mask, batch);
-                let rows = Tensor::cat(vec![h, path + absolute], 2);
-                (rows, shared.with_rows(&has_path, is_relative))
+                let path = path + places.expect("rows have places");
+                let tokens = Tensor::cat(vec![h, path], 2);
+                (tokens, shared.with_rows(&has_path, is_relative))
             }
         };
         stages.stage(format_args!("tokens"), || h.clone());
