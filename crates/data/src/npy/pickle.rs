@@ -1,5 +1,8 @@
 //! Reads a pickle as data. Names in it are kept as names: nothing is imported or called
 //! (`pickletools` of Python's standard library describes the opcodes of protocols 2 to 5).
+//!
+//! `pytorch_reader`, which reads the pickles of PyTorch files, drops the state of objects other than
+//! tensors, and with it the numbers of NumPy's arrays.
 
 use std::collections::HashMap;
 
