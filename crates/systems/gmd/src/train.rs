@@ -49,7 +49,8 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
     let joint_motion = joint_motion(&own, &config, &model, &statistics)?;
     let humanml3d = &config.data.humanml3d;
     let fps = humanml3d.representation().fps();
-    let trajectories = RootTrajectories::new(humanml3d.root, &statistics, fps);
+    let trajectories = || RootTrajectories::new(humanml3d.root, &statistics, fps);
+    let trajectories = model.has_path().then(trajectories);
     let diffusion = GaussianDiffusion::new(&own.diffusion)?;
     let samples = training::samples(&dataset, &statistics, channels, text_input(&config));
     let (training_data, held_out) = context.training_data(dataset, statistics, samples)?;

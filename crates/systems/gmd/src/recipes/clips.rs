@@ -33,12 +33,12 @@ use crate::network::TextDenoiser;
 use crate::network::transformer::PathInput;
 
 /// Trains a [`TextDenoiser`] on clips of `channels`, validated on `held_out`. The noise has the
-/// network's space. A path-conditioned network is given each clip's root trajectory.
+/// network's space. `trajectories` are the paths of a path-conditioned network.
 pub fn clip_recipe(
     diffusion: GaussianDiffusion,
     channels: usize,
     own: &GmdConfig,
-    trajectories: RootTrajectories,
+    trajectories: Option<RootTrajectories>,
     joint_motion: Option<JointMotion>,
     held_out: HeldOut,
 ) -> DenoisingRecipe<TextDenoiser> {
@@ -53,7 +53,7 @@ pub fn clip_recipe(
         move |diffusion, model: &TextDenoiser, inputs, draws, weighted| {
             let [batch, _, time] = inputs.x_start.dims();
             let device = inputs.x_start.device();
-            let path = model.has_path().then(|| {
+            let path = trajectories.as_ref().map(|trajectories| {
                 let lengths = match &inputs.lengths {
                     Some(lengths) => lengths.frames().to_vec(),
                     None => vec![time; batch],
