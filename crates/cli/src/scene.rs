@@ -17,7 +17,7 @@ use kinegrad_report::scene::{Curves, Floor, Hierarchy, Scene, SceneObject};
 use kinegrad_train::clips::read_goal;
 use kinegrad_train::{Error, Systems};
 
-use crate::args::ReadingArguments;
+use crate::args::BvhArguments;
 use crate::io::{
     BvhReading, CENTIMETRES, Motion, bvh_file, file_stem, motion_files, names as joint_names,
     not_finite, with_raw,
@@ -35,8 +35,6 @@ const MOST_FIGURES: usize = 16;
 pub struct Reading {
     /// Unit and vertical of BVH files.
     pub bvh: BvhReading,
-    /// Frames per second of joint positions whose skeleton is unknown.
-    pub fps: f64,
     /// Title; the names of the motions if absent.
     pub title: Option<String>,
     /// Goal on the floor.
@@ -47,10 +45,9 @@ pub struct Reading {
 
 impl Reading {
     /// The reading options of the command line.
-    pub fn of(arguments: &ReadingArguments) -> Self {
+    pub fn of(arguments: &BvhArguments) -> Self {
         Self {
-            bvh: BvhReading::of(&arguments.bvh),
-            fps: arguments.fps,
+            bvh: BvhReading::of(arguments),
             ..Self::default()
         }
     }
@@ -140,18 +137,18 @@ fn figure(
     reading: &Reading,
 ) -> Result<SceneObject, Error> {
     let motion = Motion::read(systems, path, &reading.bvh)?;
-    let mut figure = of_motion(&motion, name, reading.fps)?;
+    let mut figure = of_motion(&motion, name)?;
     figure.origins = origins::beside(path, figure.frames());
     Ok(figure)
 }
 
-/// The figure of a motion; points move at `fps`.
-pub fn of_motion(motion: &Motion, name: String, fps: f64) -> Result<SceneObject, Error> {
+/// The figure of a motion.
+pub fn of_motion(motion: &Motion, name: String) -> Result<SceneObject, Error> {
     match motion {
         Motion::Array(array) => {
             of(&*array.representation, &array.values, name).ok_or_else(|| not_finite(&array.path))
         }
-        Motion::Points(joints, _) => points(joints, name, fps),
+        Motion::Points(joints, fps, _) => Ok(points(joints, name, *fps)),
         Motion::Bvh(capture) => {
             let joints = capture.bvh.joints().iter();
             let parents = joints.map(|joint| joint.parent).collect();
@@ -203,7 +200,7 @@ pub fn as_bvh(
         Motion::Array(array) => array,
         Motion::Bvh(_) if lock_feet => return Err(no_legs(path, "a BVH file")),
         Motion::Bvh(capture) => return capture.in_centimetres(),
-        Motion::Points(_, error) => return Err(error),
+        Motion::Points(_, _, error) => return Err(error),
     };
     if array.representation.name() == Phrases.name() {
         if lock_feet {
@@ -276,17 +273,11 @@ fn orientations(rows: &[f32]) -> Vec<[f32; 4]> {
 }
 
 /// Joints of an unknown skeleton.
-fn points(places: &Joints, name: String, fps: f64) -> Result<SceneObject, Error> {
-    if !(fps.is_finite() && fps > 0.0) {
-        return Err(Error::usage(
-            format!("`--fps` is {fps}"),
-            "frames per second are a positive number, such as 30",
-        ));
-    }
+fn points(places: &Joints, name: String, fps: f64) -> SceneObject {
     let joints = places.joints();
     let joint_names = (0..joints).map(|joint| format!("joint_{joint}")).collect();
     let parents = vec![None; joints];
-    Ok(body(name, fps, places, joint_names, parents, Some(&[])))
+    body(name, fps, places, joint_names, parents, Some(&[]))
 }
 
 /// A goal on the floor.

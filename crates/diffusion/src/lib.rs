@@ -56,6 +56,6 @@ pub use sampler::{
     Timesteps, ddim, ddim_step, ddpm, ddpm_step, dpmpp_2m, heun, must_suit, must_suit_flow,
     noise_of_parts, sample, sample_with, timesteps,
 };
-pub use schedule::NoiseSchedule;
+pub use schedule::{NoiseSchedule, OutputShares};
 pub use steering::{Guidance, Networks, Objective, Steering, steered_prediction, steered_sample};
 pub use time::Time;

@@ -28,8 +28,14 @@ impl Rotation {
     /// Rotates the first `channels` (even) channels of each head, in the motions with a true entry
     /// in `turns`. A single entry applies to all motions.
     pub fn new(channels: usize, time: usize, turns: &[bool], device: &Device) -> Self {
-        let half = channels / 2;
-        let angles = angles(half, time);
+        let positions: Vec<usize> = (0..time).collect();
+        Self::at(channels, &positions, turns, device)
+    }
+
+    /// [`new`](Self::new) for tokens at these positions, `[time]`.
+    pub fn at(channels: usize, positions: &[usize], turns: &[bool], device: &Device) -> Self {
+        let (half, time) = (channels / 2, positions.len());
+        let angles = angles(half, positions.iter().copied());
         let table = |of: fn(f64) -> f64| {
             let angles = &angles;
             let values = turns.iter().flat_map(|turns| {
@@ -68,9 +74,9 @@ impl Rotation {
     }
 }
 
-/// The angles of the frequencies in each frame, `[time, half]`. Computed in double precision on the
+/// The angles of the frequencies at each position, `[time, half]`. Computed in double precision on the
 /// host, like the timestep embedding.
-fn angles(half: usize, time: usize) -> Vec<f64> {
+fn angles(half: usize, positions: impl Iterator<Item = usize>) -> Vec<f64> {
     let frequencies = (0..half).map(|i| 10_000f64.powf(-(i as f64) / half as f64));
     let frequencies: Vec<f64> = frequencies.collect();
     let of_frame = |t| {
@@ -78,7 +84,7 @@ fn angles(half: usize, time: usize) -> Vec<f64> {
             .iter()
             .map(move |frequency| t as f64 * frequency)
     };
-    (0..time).flat_map(of_frame).collect()
+    positions.flat_map(of_frame).collect()
 }
 
 /// Rotates all channels of each head, an even number ([`Rotation`]).
@@ -88,7 +94,7 @@ fn angles(half: usize, time: usize) -> Vec<f64> {
 pub fn rotate(x: Tensor<3>, num_heads: usize) -> Tensor<3> {
     let [_, channels, time] = x.dims();
     let half = channels / num_heads / 2;
-    let angles = angles(half, time);
+    let angles = angles(half, 0..time);
     // As columns, because a sample's frames are contiguous.
     let table = |of: fn(f64) -> f64| {
         let columns = (0..half).flat_map(|i| angles.iter().skip(i).step_by(half));

@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use kinegrad_report::scene::Floor;
 use kinegrad_report::{Panel, body_panels, check_ending};
 use kinegrad_train::clips::read_goal;
+use kinegrad_train::run::load_config;
 use kinegrad_train::telemetry::{Record, read_metrics};
 use kinegrad_train::{Error, Systems};
 
@@ -20,6 +21,7 @@ use crate::scene::{self, Reading};
 pub fn run(systems: Systems<'_>, arguments: PlotArguments) -> Result<ExitCode, Error> {
     let PlotArguments {
         inputs,
+        schedule,
         goal,
         reading,
         out,
@@ -27,6 +29,11 @@ pub fn run(systems: Systems<'_>, arguments: PlotArguments) -> Result<ExitCode, E
     } = arguments;
     check_ending(&out).map_err(unusable)?;
     must_be_new([&out], &inputs, overwrite, "--out")?;
+    if schedule {
+        let panels = inputs.iter().map(|input| schedule_panels(systems, input));
+        let panels = panels.collect::<Result<Vec<_>, Error>>()?.concat();
+        return write(&panels, &out);
+    }
     let folder = inputs.iter().find(|input| input.is_dir());
     let panels = match (&inputs[..], goal, folder) {
         (_, Some(_), Some(folder)) => {
@@ -47,9 +54,54 @@ pub fn run(systems: Systems<'_>, arguments: PlotArguments) -> Result<ExitCode, E
         }
         _ => run_panels(&inputs)?,
     };
-    draw(&panels, 2, (520, 250), &out)?;
+    write(&panels, &out)
+}
+
+fn write(panels: &[Panel], out: &Path) -> Result<ExitCode, Error> {
+    draw(panels, 2, (520, 250), out)?;
     say!("{}", out.display());
     Ok(ExitCode::SUCCESS)
+}
+
+/// The noise schedule of a config file, or of a run's config.
+fn schedule_panels(systems: Systems<'_>, input: &Path) -> Result<Vec<Panel>, Error> {
+    let file = match input.is_dir() {
+        true => input.join("config.toml"),
+        false => input.to_path_buf(),
+    };
+    let config = load_config(systems, &file, &[], &mut |missing| {
+        tell!("warning: {missing}; its process is not shown");
+    })?;
+    let Some(schedule) = config.noise_schedule()? else {
+        let message = format!("{} has no diffusion process", file.display());
+        let hint = "give a config or a run with the table `diffusion`";
+        return Err(Error::usage(message, hint));
+    };
+    let name = &config.run.name;
+    let series = |name: &str, values: &[f64]| {
+        let values = values.iter().enumerate();
+        let points = values.map(|(t, value)| (t as f64, *value));
+        (name.to_owned(), points.collect())
+    };
+    let shares = schedule.output_shares();
+    Ok(vec![
+        Panel::lines(
+            format!("{name}: factors in x_t"),
+            "timestep",
+            vec![
+                series("motion", &schedule.sqrt_alphas_cumprod),
+                series("noise", &schedule.sqrt_one_minus_alphas_cumprod),
+            ],
+        ),
+        Panel::lines(
+            format!("{name}: share of the output in a step's mean"),
+            "timestep",
+            vec![
+                series("sample", &shares.sample),
+                series("epsilon", &shares.epsilon),
+            ],
+        ),
+    ])
 }
 
 /// Panels of the motion in a file.
@@ -64,7 +116,7 @@ fn motion_panels(
     if let Motion::Array(array) = &motion {
         return Ok(known_panels(array, name, floor));
     }
-    let figure = scene::of_motion(&motion, name, reading.fps)?;
+    let figure = scene::of_motion(&motion, name)?;
     let body = body_panels(&figure, floor).into_iter();
     Ok(body.chain(scene::curve_panels(&figure)).collect())
 }

@@ -54,13 +54,18 @@ pub fn read_body(path: &Path, reading: &BvhReading, retarget: bool) -> Result<Jo
     Ok(joints)
 }
 
-/// The unit and vertical axis of BVH files; absent values are guessed from the body.
+/// How a motion file is read: the unit and vertical axis of BVH files, where absent values are
+/// guessed from the body; and the motion.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct BvhReading {
     /// Length of a unit.
     pub units: Option<Units>,
     /// Axis that points up.
     pub up: Option<UpAxis>,
+    /// Number of the motion in a file of several.
+    pub index: Option<usize>,
+    /// Frames per second of an array.
+    pub fps: Option<f64>,
 }
 
 impl BvhReading {
@@ -69,7 +74,23 @@ impl BvhReading {
         Self {
             units: arguments.units,
             up: arguments.up,
+            index: arguments.index,
+            fps: arguments.fps,
         }
+    }
+
+    /// Refuses options that BVH files make superfluous.
+    pub fn must_suit_bvh(&self, path: &Path) -> Result<(), Error> {
+        let (path, hint) = (path.display(), "leave it out");
+        if let Some(index) = self.index.filter(|index| *index > 0) {
+            let message = format!("option `index {index}`, and {path} has one motion");
+            return Err(Error::usage(message, hint));
+        }
+        if let Some(fps) = self.fps {
+            let message = format!("option `fps {fps}`, and {path} has its own rate");
+            return Err(Error::usage(message, hint));
+        }
+        Ok(())
     }
 }
 

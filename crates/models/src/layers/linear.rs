@@ -142,6 +142,14 @@ impl Unbiased {
         }
     }
 
+    /// The map with zeros as initial weight.
+    #[must_use]
+    pub fn zeroed(self, init: &Initializer) -> Self {
+        Self {
+            weight: init.constant(self.weight.lazy_shape().dims::<2>(), 0.0),
+        }
+    }
+
     /// The map of every frame as an operation that can be fused with others.
     pub fn operation(&self) -> Convolution {
         Convolution::new(self.weight.val().unsqueeze_dim(2), 1)

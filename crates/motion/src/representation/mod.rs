@@ -39,6 +39,11 @@ pub trait Representation: Debug + Send + Sync {
     /// Frames per second.
     fn fps(&self) -> f64;
 
+    /// The same representation at another rate; `None` if the rate is fixed.
+    fn at_rate(&self, _fps: f64) -> Option<Box<dyn Representation>> {
+        None
+    }
+
     /// The shape of an array of such rows, for messages.
     fn shape(&self) -> String {
         format!("[T, {}]", self.channels())

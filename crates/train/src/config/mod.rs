@@ -33,6 +33,8 @@ pub use tables::{
 pub use kinegrad_settings::Place;
 
 use kinegrad_data::DataConfig;
+use kinegrad_diffusion::{DiffusionConfig, NoiseSchedule};
+use kinegrad_settings::InvalidSetting;
 use schemars::JsonSchema;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -74,6 +76,20 @@ impl Config {
     /// Panics if the tables have not been read as `T`.
     pub fn own<T: SystemTables>(&self) -> &T {
         self.system.get().expect("tables that the system has read")
+    }
+
+    /// The noise schedule of the config's diffusion process; `None` for systems without the table
+    /// `diffusion`.
+    ///
+    /// # Errors
+    /// Names the invalid key of the process.
+    pub fn noise_schedule(&self) -> Result<Option<NoiseSchedule>, InvalidSetting> {
+        let tables = self.system.to_table();
+        let process = tables.get("diffusion").cloned();
+        let process = process.and_then(|table| table.try_into::<DiffusionConfig>().ok());
+        process
+            .map(|process| NoiseSchedule::new(&process))
+            .transpose()
     }
 
     /// The config with the system's tables replaced.

@@ -45,7 +45,7 @@ pub trait System: Sync {
 
     /// Frames per second of the training motion of `config`.
     fn fps(&self, config: &Config) -> f64 {
-        config.data.humanml3d.skeleton.skeleton().description().fps
+        config.data.humanml3d.skeleton().description().fps
     }
 
     /// Default values of the recipe for keys that are missing in `given`, the config as written.

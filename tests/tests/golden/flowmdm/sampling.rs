@@ -91,6 +91,7 @@ fn golden_composition_sampling(golden: Golden) {
     let composed = |bpe_denoising_step: i64| Composed {
         network: &network,
         path: None,
+        path_guidance_scale: 1.0,
         segments: script.clone(),
         switch: Switch {
             bpe_denoising_step,

@@ -8,7 +8,7 @@ use kinegrad_motion::humanml::{Extraction, Features, Joints, Root, Skeleton};
 use kinegrad_motion::{JointFeatures, Representation};
 use kinegrad_train::{Error, Systems};
 
-use crate::io::{CENTIMETRES, MotionArray, as_bvh, has_extension, is_bvh, read_bvh};
+use crate::io::{BvhReading, CENTIMETRES, MotionArray, as_bvh, has_extension, is_bvh, read_bvh};
 
 /// The representation of a clip.
 #[derive(Clone, Debug)]
@@ -49,7 +49,7 @@ pub fn read(systems: Systems<'_>, path: &Path) -> Result<Motion, Error> {
 }
 
 fn read_clip(systems: Systems<'_>, path: &Path, file: String) -> Result<Motion, Error> {
-    let array = MotionArray::read(systems, path)?;
+    let array = MotionArray::read(systems, path, &BvhReading::default())?;
     let (joints, skeleton) = array.body()?;
     let bvh = as_bvh(&joints, &skeleton)?;
     let absolute = JointFeatures {
