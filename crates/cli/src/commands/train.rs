@@ -142,7 +142,7 @@ impl<'a> Summary<'a> {
                 Some(Ending::Interrupted) => "interrupted",
             },
             steps: outcome.step,
-            max_steps: outcome.config.train.max_steps,
+            max_steps: outcome.max_steps,
             best_step: outcome.progress.best_step,
             best_val_loss: outcome.progress.best_val_loss,
             seconds,

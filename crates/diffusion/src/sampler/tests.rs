@@ -67,7 +67,7 @@ fn kinds(timesteps: Timesteps, eta: f64) -> [SamplerKind; 4] {
     };
     [
         SamplerKind::Ddim(ddim),
-        SamplerKind::Ddpm(timesteps),
+        SamplerKind::Ddpm(timesteps.into()),
         SamplerKind::Dpmpp2m(timesteps),
         SamplerKind::Heun(timesteps),
     ]
@@ -79,7 +79,7 @@ fn ddim(eta: f64, num_inference_steps: usize) -> SamplerConfig {
 }
 
 fn ddpm(num_inference_steps: usize) -> SamplerConfig {
-    let ddpm = SamplerKind::Ddpm(Timesteps::default());
+    let ddpm = SamplerKind::Ddpm(Ddpm::default());
     SamplerConfig::new(ddpm, num_inference_steps)
 }
 

@@ -208,6 +208,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let sizes = own.model.network.sizes();
     sizes.validate()?;
     own.diffusion.validate()?;
+    own.diffusion.must_not_rescale_timesteps()?;
     own.text.validate(data)?;
     let adapts = config.train.recipe == ADAPTER;
     let allowed = format!("true for recipe `{ADAPTER}`, which trains the layers of the path");

@@ -9,6 +9,7 @@
 mod difference;
 mod document;
 mod error;
+mod length;
 mod model;
 mod resume;
 mod resumed;
@@ -19,6 +20,8 @@ pub(crate) use difference::difference;
 pub(crate) use document::{apply, from_table, value_at};
 pub use document::{lay_over, to_toml};
 pub use error::ConfigError;
+pub use length::RunLength;
+pub(crate) use length::{alternative, both, give_way, must_have_one};
 pub(crate) use model::names;
 pub use model::{ModelTable, NetworkKind};
 pub(crate) use resume::{may_differ, must_continue, must_have_recipe};
