@@ -23,6 +23,7 @@ mod output;
 mod args;
 mod commands;
 mod conditions;
+mod environment;
 mod folder;
 mod interrupt;
 mod io;

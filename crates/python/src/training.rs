@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use kinegrad_systems::BUILT_IN;
+use kinegrad_train::config::EnvironmentSetting;
 use kinegrad_train::run::{self, Target, TrainRequest};
 use kinegrad_train::{Ending, Observer, Reading, RunSummary, StepReport};
 use pyo3::exceptions::PyKeyboardInterrupt;
@@ -106,12 +107,14 @@ pub fn train(
     event: Py<PyAny>,
 ) -> PyResult<PathBuf> {
     kinegrad_kernels::memory::keep_freed();
+    let environment = call(py, EnvironmentSetting::all)?;
     let request = TrainRequest {
         target: match resume {
             true => Target::Resumed(config),
             false => Target::New(config),
         },
         overrides,
+        environment,
         runs_dir,
         dry_run: false,
     };

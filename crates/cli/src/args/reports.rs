@@ -58,9 +58,9 @@ Examples:
   kinegrad runs
   kinegrad runs experiments --json")]
 pub struct RunsArguments {
-    /// Folder that contains the runs
-    #[arg(value_name = "DIR", default_value = RUNS)]
-    pub folder: PathBuf,
+    /// Folder that contains the runs [default: KINEGRAD_RUNS_DIR, else runs]
+    #[arg(value_name = "DIR")]
+    pub folder: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
     pub json: bool,

@@ -10,6 +10,7 @@ use kinegrad_train::{Error, Systems};
 use serde_json::{Value, json};
 
 use crate::args::{RUNS, RunsArguments};
+use crate::environment::runs_dir;
 use crate::output;
 use crate::progress::duration;
 use crate::runs::{Run, find, folder_name};
@@ -28,6 +29,10 @@ const HEADER: [&str; 7] = [
 /// Lists the runs in a folder.
 pub fn run(systems: Systems<'_>, arguments: RunsArguments) -> Result<ExitCode, Error> {
     let RunsArguments { folder, json } = arguments;
+    let folder = match folder {
+        Some(folder) => folder,
+        None => runs_dir()?.0,
+    };
     // The first training makes the folder `runs`.
     if !folder.is_dir() && folder != Path::new(RUNS) {
         let message = format!("there is no folder {}", folder.display());

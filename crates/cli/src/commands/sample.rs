@@ -142,6 +142,7 @@ pub fn trained_for(
         false => Weights::Ema,
     };
     let (saved, local) = (checkpoint(run)?, group.ranks().local().rank);
+    let device = environment::device(device.as_deref())?;
     systems.trained_on_rank(saved, &overrides, weights, device.as_deref(), local)
 }
 

@@ -12,9 +12,9 @@ use kinegrad_train::text_encoder::TextEncoder;
 use kinegrad_train::{Error, device};
 
 use crate::args::EmbedArguments;
-use crate::interrupt;
 use crate::io::must_be_new;
 use crate::progress::Count;
+use crate::{environment, interrupt};
 
 /// Name of the tensor of sentences.
 const TENSOR: &str = "text";
@@ -26,7 +26,8 @@ pub fn embed(arguments: EmbedArguments) -> Result<ExitCode, Error> {
     must_be_new([out], &[], arguments.overwrite, "--out")?;
     let named = texts(&arguments)?;
     let texts = named.iter().flat_map(|(_, texts)| texts);
-    let (device, _) = device::open(&arguments.device)?;
+    let device = environment::device(arguments.device.as_deref())?;
+    let (device, _) = device::open(device.as_deref().unwrap_or("auto"))?;
     let encoder = TextEncoder::read(&arguments.text_encoder, &device)?;
     // Captions repeat.
     let mut distinct: Vec<&str> = texts.clone().map(String::as_str).collect();

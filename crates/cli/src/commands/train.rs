@@ -9,6 +9,7 @@ use kinegrad_output::path_text;
 use kinegrad_report::facts;
 use kinegrad_settings::counted;
 use kinegrad_train::checkpoint::Weights;
+use kinegrad_train::config::EnvironmentSetting;
 use kinegrad_train::run::{self, Outcome, SAMPLES, TrainRequest, UNFINISHED_SAMPLES, remove};
 use kinegrad_train::sampling::{self, Request};
 use kinegrad_train::{Ending, Error, Systems};
@@ -17,6 +18,7 @@ use serde::Serialize;
 use super::estimate;
 use super::sample::{checkpoint, say_summary};
 use crate::args::TrainArguments;
+use crate::environment::runs_dir;
 use crate::io::Files;
 use crate::output;
 use crate::progress::duration;
@@ -35,7 +37,11 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
     let request = TrainRequest {
         target,
         overrides,
-        runs_dir: arguments.runs_dir.unwrap_or_else(|| "runs".into()),
+        environment: EnvironmentSetting::all()?,
+        runs_dir: match arguments.runs_dir {
+            Some(folder) => folder,
+            None => runs_dir()?.0,
+        },
         dry_run,
     };
     let started = Instant::now();

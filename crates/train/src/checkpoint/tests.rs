@@ -11,6 +11,7 @@ fn state() -> State {
         format: FORMAT,
         kinegrad: "0.1.0".into(),
         step: 3,
+        steps_per_epoch: None,
         config,
         statistics: Default::default(),
         network_statistics: None,

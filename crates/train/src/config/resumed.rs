@@ -60,7 +60,7 @@ pub(crate) fn resumed(
 }
 
 /// True if a dotted key is `table` or below it.
-fn is_of(key: &str, table: &str) -> bool {
+pub(super) fn is_of(key: &str, table: &str) -> bool {
     let rest = key.strip_prefix(table);
     rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
 }

@@ -10,8 +10,8 @@ use kinegrad_data::file::read_text;
 
 use crate::checkpoint::{SavedCheckpoint, Weights};
 use crate::config::{
-    self, Config, ConfigError, Place, TrainConfig, alternative, apply, difference, give_way,
-    lay_over,
+    self, Config, ConfigError, EnvironmentSetting, Place, TrainConfig, alternative, apply,
+    difference, give_way, lay_over,
 };
 use crate::device::open_for;
 use crate::error::Error;
@@ -44,6 +44,28 @@ impl Systems<'_> {
             apply(&mut table, argument)?;
         }
         self.complete(&table, &|_| path.display().to_string())
+    }
+
+    /// The settings of the `environment` that `config` uses.
+    pub(crate) fn used(
+        self,
+        environment: &[EnvironmentSetting],
+        config: &Config,
+    ) -> Vec<EnvironmentSetting> {
+        let is_used = |setting: &&EnvironmentSetting| match setting.key {
+            "run.device" => true,
+            "data.source" => config.data.kind.has_source(),
+            _ => {
+                let mut table = Table::try_from(config).expect(config::PLAIN);
+                let changed = apply(&mut table, &setting.argument());
+                let changed = changed.and_then(|()| self.read(&table, &|_| String::new()));
+                changed.is_ok_and(|changed| {
+                    let system = self.of(&changed);
+                    system.is_ok_and(|(system, _)| system.must_use(&changed).is_ok())
+                })
+            }
+        };
+        environment.iter().filter(is_used).cloned().collect()
     }
 
     /// [`load`](Self::load) from text; errors name `origin` instead of a file.
