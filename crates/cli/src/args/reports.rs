@@ -14,6 +14,7 @@ Examples:
   kinegrad plot walk.npy --goal configs/goal.toml --out walk.png
   kinegrad plot capture.bvh --units cm --out capture.svg
   kinegrad plot runs/quickstart --out losses.svg
+  kinegrad plot runs/e2e --terms --out terms.svg
   kinegrad plot runs/one runs/two --out losses.svg")]
 pub struct PlotArguments {
     /// Motion file (.npy or .bvh), or folders of runs to plot together
@@ -22,6 +23,13 @@ pub struct PlotArguments {
     /// Goal to plot on the floor: key frames, trajectory and obstacles
     #[arg(long, value_name = "GOAL.toml")]
     pub goal: Option<PathBuf>,
+    /// Plot the loss of a run and its terms, six panels on logarithmic axes
+    #[arg(long, conflicts_with = "goal")]
+    pub terms: bool,
+    /// TOML file with the thresholds of phrases: the keys of `evaluation.thresholds`
+    /// [default: CC-MotionGen's]
+    #[arg(long, value_name = "FILE")]
+    pub thresholds: Option<PathBuf>,
     #[command(flatten)]
     pub reading: ReadingArguments,
     /// Image to write

@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use crate::args::{SampleArguments, SamplerArguments};
 use crate::io::{Files, Written, exit_code};
-use crate::{interrupt, output};
+use crate::{environment, interrupt, output};
 
 /// Generates motion and writes it to files.
 pub fn run(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Error> {
