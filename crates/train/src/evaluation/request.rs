@@ -77,9 +77,9 @@ impl EvaluationRequest {
             }
         }
         let frames = self.num_frames.unwrap_or(MIN_FRAMES);
-        in_range("option `num_frames`", frames, MIN_FRAMES..=MAX_FRAMES)?;
+        in_range("option num_frames", frames, MIN_FRAMES..=MAX_FRAMES)?;
         in_range(
-            "option `num_samples`",
+            "option num_samples",
             self.num_samples.unwrap_or(1),
             1..=65_536,
         )?;

@@ -237,19 +237,14 @@ pub(super) fn samples(
     Ok([raw, processed])
 }
 
-/// The numbers of conditions and of samples of each, for at most `num_samples` samples in total: at
-/// most `most` conditions and, if possible, `seeds` samples of each.
+/// The numbers of conditions and of samples of each, for at most `num_samples` samples in total. There
+/// are at most `most` conditions, and at least `seeds` samples of each if `num_samples` allows it.
 fn counts(num_samples: Option<usize>, most: usize, seeds: usize) -> [usize; 2] {
     let Some(all) = num_samples else {
         return [most, seeds];
     };
-    let seeds = seeds.min(all).max(1);
-    let options = (seeds..=all.max(seeds)).map(|seeds| [most.min(all / seeds), seeds]);
-    // The first of the best has the most conditions.
-    let best = options
-        .rev()
-        .max_by_key(|[conditions, seeds]| conditions * seeds);
-    best.unwrap_or([most, seeds])
+    let conditions = most.min(all / seeds).max(1);
+    [conditions, (all / conditions).max(1)]
 }
 
 /// The audio condition of all samples of `phrase`.
@@ -274,10 +269,9 @@ mod tests {
     fn a_number_of_samples_is_divided_into_conditions_and_seeds() {
         assert_eq!(counts(None, 27, 2), [27, 2]);
         assert_eq!(counts(Some(20), 27, 2), [10, 2]);
-        // 27 phrases of 3 samples are 81, 25 of 4 are 100.
-        assert_eq!(counts(Some(100), 27, 2), [25, 4]);
-        assert_eq!(counts(Some(6), 3, 2), [3, 2]);
-        assert_eq!(counts(Some(7), 3, 2), [1, 7]);
+        assert_eq!(counts(Some(100), 27, 2), [27, 3]);
+        assert_eq!(counts(Some(20), 4, 2), [4, 5]);
+        assert_eq!(counts(Some(7), 3, 2), [3, 2]);
         assert_eq!(counts(Some(1), 3, 2), [1, 1]);
     }
 
