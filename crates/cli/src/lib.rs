@@ -23,7 +23,6 @@ mod output;
 mod args;
 mod commands;
 mod conditions;
-mod environment;
 mod folder;
 mod interrupt;
 mod io;

@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use kinegrad_systems::BUILT_IN;
 use kinegrad_train::config::EnvironmentSetting;
+use kinegrad_train::config::environment::runs_dir as runs_dir_of_environment;
 use kinegrad_train::run::{self, Target, TrainRequest};
 use kinegrad_train::{Ending, Observer, Reading, RunSummary, StepReport};
 use pyo3::exceptions::PyKeyboardInterrupt;
@@ -102,7 +103,7 @@ pub fn train(
     py: Python<'_>,
     config: PathBuf,
     overrides: Vec<String>,
-    runs_dir: PathBuf,
+    runs_dir: Option<PathBuf>,
     resume: bool,
     event: Py<PyAny>,
 ) -> PyResult<PathBuf> {
@@ -115,7 +116,10 @@ pub fn train(
         },
         overrides,
         environment,
-        runs_dir,
+        runs_dir: match runs_dir {
+            Some(folder) => folder,
+            None => call(py, runs_dir_of_environment)?.0,
+        },
         dry_run: false,
     };
     let mut events = Events {

@@ -3,10 +3,10 @@
 use std::process::ExitCode;
 
 use kinegrad_train::config::EnvironmentSetting;
+use kinegrad_train::config::environment::runs_dir;
 use kinegrad_train::{Error, Systems, memory, run};
 
 use crate::args::ShowArguments;
-use crate::environment::runs_dir;
 use crate::output;
 
 /// Prints the resolved config, with comments on the size of the model and on the origin of each value.

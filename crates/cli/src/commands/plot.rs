@@ -12,7 +12,7 @@ use kinegrad_train::{Error, Systems};
 
 use super::check::thresholds as read_thresholds;
 use super::report::curves::{Metrics, charts};
-use super::report::term_charts;
+use super::report::terms::term_charts;
 use crate::args::PlotArguments;
 use crate::io::{Motion, MotionArray, file_stem, must_be_new};
 use crate::output::{draw, unusable};

@@ -6,7 +6,7 @@ mod evaluation;
 mod facts;
 mod previews;
 mod samples;
-mod terms;
+pub mod terms;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;

@@ -5,12 +5,12 @@ use std::process::ExitCode;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use kinegrad_report::table;
+use kinegrad_train::config::environment::runs_dir;
 use kinegrad_train::memory::size;
 use kinegrad_train::{Error, Systems};
 use serde_json::{Value, json};
 
 use crate::args::{RUNS, RunsArguments};
-use crate::environment::runs_dir;
 use crate::output;
 use crate::progress::duration;
 use crate::runs::{Run, find, folder_name};

@@ -5,13 +5,14 @@ use std::process::ExitCode;
 
 use kinegrad_report::rows;
 use kinegrad_train::checkpoint::{SavedCheckpoint, Weights, resolve_checkpoint};
+use kinegrad_train::config::environment;
 use kinegrad_train::sampling::{BestOf, Request, Summary};
 use kinegrad_train::{Error, ProcessGroup, Systems, TrainedModel};
 use serde::Serialize;
 
 use crate::args::{SampleArguments, SamplerArguments};
 use crate::io::{Files, Written, exit_code};
-use crate::{environment, interrupt, output};
+use crate::{interrupt, output};
 
 /// Generates motion and writes it to files.
 pub fn run(systems: Systems<'_>, arguments: SampleArguments) -> Result<ExitCode, Error> {
@@ -142,7 +143,10 @@ pub fn trained_for(
         false => Weights::Ema,
     };
     let (saved, local) = (checkpoint(run)?, group.ranks().local().rank);
-    let device = environment::device(device.as_deref())?;
+    let device = match device {
+        Some(device) => Some(device.clone()),
+        None => environment::device()?,
+    };
     systems.trained_on_rank(saved, &overrides, weights, device.as_deref(), local)
 }
 

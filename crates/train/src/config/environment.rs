@@ -4,7 +4,9 @@
 //! config file.
 
 use std::env;
+use std::path::PathBuf;
 
+use super::Origin;
 use crate::error::Error;
 
 /// Environment variables and the config keys that they set.
@@ -16,10 +18,10 @@ pub const VARIABLES: [(&str, &str); 4] = [
 ];
 
 /// The environment variable of the folder that contains the runs.
-pub const RUNS_DIR: &str = "KINEGRAD_RUNS_DIR";
+const RUNS_DIR: &str = "KINEGRAD_RUNS_DIR";
 
-/// The environment variable of the device.
-pub const DEVICE: &str = VARIABLES[0].0;
+/// The folder that contains the runs.
+const RUNS: &str = "runs";
 
 /// A config key that an environment variable sets.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -36,7 +38,7 @@ impl EnvironmentSetting {
     /// The settings of this process's environment.
     ///
     /// # Errors
-    /// As [`variable`].
+    /// [`Error::Usage`] for a value that is not UTF-8.
     pub fn all() -> Result<Vec<Self>, Error> {
         let set = VARIABLES.iter().map(|&(name, key)| {
             let value = variable(name)?;
@@ -56,11 +58,31 @@ impl EnvironmentSetting {
     }
 }
 
+/// The folder that contains the runs, unless an option names it, and its origin.
+///
+/// # Errors
+/// As [`EnvironmentSetting::all`].
+pub fn runs_dir() -> Result<(PathBuf, Origin), Error> {
+    Ok(match variable(RUNS_DIR)? {
+        Some(folder) => (folder.into(), Origin::Environment(RUNS_DIR)),
+        None => (RUNS.into(), Origin::Default),
+    })
+}
+
+/// The device of the environment, if set.
+///
+/// # Errors
+/// As [`EnvironmentSetting::all`].
+pub fn device() -> Result<Option<String>, Error> {
+    let (name, _) = VARIABLES[0];
+    variable(name)
+}
+
 /// The value of an environment variable; `None` if the variable is unset or empty.
 ///
 /// # Errors
 /// [`Error::Usage`] for a value that is not UTF-8.
-pub fn variable(name: &str) -> Result<Option<String>, Error> {
+fn variable(name: &str) -> Result<Option<String>, Error> {
     match env::var(name) {
         Ok(value) => Ok((!value.is_empty()).then_some(value)),
         Err(env::VarError::NotPresent) => Ok(None),
