@@ -88,7 +88,7 @@ fn a_length_in_steps_and_in_epochs_is_refused() {
         refused.failed(
             2,
             &[
-                "both.toml:29",
+                "both.toml:24",
                 "train.epochs",
                 "train.max_steps",
                 "one of the two",
@@ -129,7 +129,7 @@ fn rescaled_timesteps_change_a_network_unless_there_are_1000() {
     let plain = trained(&sandbox, "few", few);
     let rescale = format!("{few} --set diffusion.rescale_timesteps=true");
     assert!(plain != trained(&sandbox, "rescaled", &rescale));
-    for recipe in ["gmd_motion", "bpe"] {
+    for recipe in ["gmd_motion", "bpe_motion"] {
         let refused = sandbox.run(&format!(
             "config show c.toml --set train.recipe={recipe} --set model={{}} \
              --set data.kind=synthetic_walks --set diffusion.rescale_timesteps=true"
