@@ -14,6 +14,7 @@ Examples:
   kinegrad plot walk.npy --goal configs/goal.toml --out walk.png
   kinegrad plot capture.bvh --units cm --out capture.svg
   kinegrad plot runs/quickstart --out losses.svg
+  kinegrad plot runs/e2e --terms --out terms.svg
   kinegrad plot runs/one runs/two --out losses.svg
   kinegrad plot --schedule configs/gmd_trajectory.toml --out schedule.svg")]
 pub struct PlotArguments {
@@ -27,6 +28,13 @@ pub struct PlotArguments {
     /// Goal to plot on the floor: key frames, trajectory and obstacles
     #[arg(long, value_name = "GOAL.toml")]
     pub goal: Option<PathBuf>,
+    /// Plot the loss of a run and its terms, six panels on logarithmic axes
+    #[arg(long, conflicts_with = "goal")]
+    pub terms: bool,
+    /// TOML file with the thresholds of phrases: the keys of `evaluation.thresholds`
+    /// [default: CC-MotionGen's]
+    #[arg(long, value_name = "FILE")]
+    pub thresholds: Option<PathBuf>,
     #[command(flatten)]
     pub reading: BvhArguments,
     /// Image to write
@@ -63,9 +71,9 @@ Examples:
   kinegrad runs
   kinegrad runs experiments --json")]
 pub struct RunsArguments {
-    /// Folder that contains the runs
-    #[arg(value_name = "DIR", default_value = RUNS)]
-    pub folder: PathBuf,
+    /// Folder that contains the runs [default: KINEGRAD_RUNS_DIR, else runs]
+    #[arg(value_name = "DIR")]
+    pub folder: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
     pub json: bool,

@@ -118,6 +118,8 @@ pub struct Curves {
     pub title: String,
     /// Named series, `[frames]` or slightly shorter.
     pub series: Vec<(String, Vec<f64>)>,
+    /// The check of the profile `ccmotion` that bounds the values.
+    pub check: Option<&'static str>,
 }
 
 impl Curves {
@@ -125,6 +127,14 @@ impl Curves {
         Self {
             title: title.to_owned(),
             series,
+            check: None,
+        }
+    }
+
+    fn bounded_by(self, check: &'static str) -> Self {
+        Self {
+            check: Some(check),
+            ..self
         }
     }
 

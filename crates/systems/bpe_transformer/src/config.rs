@@ -204,6 +204,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let sizes = own.model.network.sizes();
     sizes.validate()?;
     own.diffusion.validate()?;
+    own.diffusion.must_not_rescale_timesteps()?;
     own.text.validate(data)?;
     let adapts = config.train.recipe == ADAPTER;
     let tokens = sizes.path_tokens;

@@ -194,6 +194,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let Config { data, sampling, .. } = config;
     let name = RecipeName::of(config);
     own.diffusion.validate()?;
+    own.diffusion.must_not_rescale_timesteps()?;
     must_be_of_clips(config)?;
     own.model.network.validate()?;
     if let Some(most) = own.model.network.longest() {
@@ -255,7 +256,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         allowed,
     )?;
     let clips_channels = sampling.clip == ClipSample::TrainingRange;
-    let allowed = "\"none\", \"six\" or \"unit\" in a projected space, whose channels are mixtures of \
+    let allowed = "\"none\", \"six\", \"unit\" or \"symmetric\" in a projected space, whose channels are mixtures of \
                    those whose range is known";
     require(
         !(projects && clips_channels),
@@ -310,7 +311,7 @@ pub(super) fn warnings(config: &Config) -> Option<String> {
         .longest()
         .is_some_and(|most| most == frames);
     let overtrains = config.train.recipe == RecipeName::Trajectory.name()
-        && (config.train.patience == 0 || config.validation.every_steps == 0);
+        && (config.train.patience == 0 || !config.validation.is_enabled());
     let warning = "an overfitted trajectory model responds poorly to guidance, and this run \
                    never stops early: set `train.patience` and `validation.every_steps`";
     let warnings = [(at_edge, edge), (overtrains, warning)].into_iter();

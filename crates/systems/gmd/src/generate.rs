@@ -217,6 +217,7 @@ impl ClipGenerator {
             // stage follows the path in the padding.
             let first = SamplingConfig {
                 clip: model.config().sampling.clip,
+                clip_range: model.config().sampling.clip_range,
                 sampler: steering.first_stage(&sampling.sampler),
                 ..sampling.clone()
             };
@@ -345,7 +346,7 @@ impl ClipGenerator {
             },
             ..sampling.sampler.clone()
         };
-        let clip = sampling.clip.range(&self.state.statistics, channels)?;
+        let clip = sampling.clip_bounds(&self.state.statistics, channels)?;
         let mut on_sampled = |done, all, _: &Tensor<3>| on_step(done, all);
         let lengths = match steering.padding {
             Padding::Zeros => stage.lengths.to_vec(),

@@ -8,8 +8,11 @@
 
 mod difference;
 mod document;
+pub mod environment;
 mod error;
+mod length;
 mod model;
+mod origins;
 mod resume;
 mod resumed;
 mod system_tables;
@@ -18,9 +21,13 @@ mod tables;
 pub(crate) use difference::difference;
 pub(crate) use document::{apply, from_table, value_at};
 pub use document::{lay_over, to_toml};
+pub use environment::EnvironmentSetting;
 pub use error::ConfigError;
+pub use length::RunLength;
+pub(crate) use length::{alternative, both, give_way, must_have_one};
 pub(crate) use model::names;
 pub use model::{ModelTable, NetworkKind};
+pub use origins::{Origin, Origins};
 pub(crate) use resume::{may_differ, must_continue, must_have_recipe};
 pub(crate) use resumed::{IgnoredKey, resumed};
 pub use system_tables::{OwnTables, SystemTables};

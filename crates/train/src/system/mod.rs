@@ -7,6 +7,7 @@ mod load;
 mod sample;
 
 pub use keys::{ConfigKey, toml_text};
+pub(crate) use load::longer_warmup;
 
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
