@@ -61,6 +61,7 @@ fn the_best_phrase_is_one_of_the_samples_and_has_the_least_score() {
     for (options, expected) in [
         ("--best-of 3 --select-by skating", "checks, beat"),
         ("--best-of 3 --select-by goal", "checks, beat"),
+        ("--best-of 3 --select-by text", "checks, beat"),
         ("--best-of 1", "`--best-of` is 1"),
         ("--best-of 3 --count 2", "--count"),
         ("--best-of 3 --select-by looks", "looks"),

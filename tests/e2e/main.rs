@@ -26,6 +26,7 @@ mod hostile_names;
 mod hostile_runs;
 mod imports;
 mod matching;
+mod matching_skeletons;
 mod movement;
 mod newcomer;
 mod own_system;

@@ -406,6 +406,7 @@ impl System for Toy {
         };
         let job = Job {
             name: None,
+            caption: None,
             conditions: request.conditions.clone(),
             frames: trained.config().own::<ToyConfig>().circles.frames,
         };

@@ -96,6 +96,40 @@ fn an_evaluator_learns_captions_and_measures_a_model_of_clips() {
         assert!(variety[metric].as_f64() > Some(0.0), "{metric}");
     }
 
+    // Of several samples, the one whose motion is nearest to the caption of the item.
+    let sample = "sample runs/smallest --item walk_00001 --steps 2 --allow-unusable --seed 3";
+    let evaluator = "--set evaluation.evaluator.run=runs/evaluator";
+    sandbox
+        .run(&format!(
+            "{sample} --best-of 4 --select-by text,checks --out best {evaluator}"
+        ))
+        .succeeded();
+    let record = std::fs::read_to_string(sandbox.path("best.json")).expect("a record");
+    let record: Value = serde_json::from_str(&record).expect("JSON");
+    let scores: Vec<Vec<f64>> =
+        serde_json::from_value(record["selection"]["scores"].clone()).expect("scores");
+    let index = record["selection"]["selected"].as_u64().expect("a number") as usize;
+    let nearest = scores
+        .iter()
+        .map(|scores| scores[0])
+        .fold(f64::INFINITY, f64::min);
+    assert_eq!(scores.len(), 4);
+    assert_eq!(scores[index][0], nearest, "{scores:?}");
+    assert_eq!(record["text_distance"].as_f64(), Some(nearest));
+    assert!(
+        scores.iter().any(|scores| scores[0] > nearest),
+        "{scores:?}"
+    );
+    sandbox
+        .run(&format!("{sample} --best-of 4 --select-by text --out none"))
+        .failed(
+            2,
+            &[
+                "`--select-by` is `text`",
+                "no text-motion evaluator is configured",
+            ],
+        );
+
     let files = "eval runs/smallest --set evaluation.evaluator.run=runs/smallest";
     sandbox.run(files).failed(
         2,

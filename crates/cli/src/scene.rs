@@ -19,8 +19,8 @@ use kinegrad_train::{Error, Systems};
 
 use crate::args::BvhArguments;
 use crate::io::{
-    BvhReading, CENTIMETRES, Motion, bvh_file, file_stem, motion_files, names as joint_names,
-    not_finite, with_raw,
+    BvhReading, CENTIMETRES, Capture, Motion, bvh_file, file_stem, is_bvh, motion_files,
+    names as joint_names, not_finite, with_raw,
 };
 use crate::output::unusable;
 
@@ -91,13 +91,14 @@ fn warn_of_no_raw(files: &[PathBuf]) {
     );
 }
 
-/// The scene of `motions`, with one figure per motion. Fails if a motion, the goal or the song
-/// cannot be read.
+/// The scene of `motions`, with one figure per motion, or per ROOT of a BVH file. Fails if a motion,
+/// the goal or the song cannot be read.
 pub fn read(systems: Systems<'_>, motions: &[PathBuf], reading: &Reading) -> Result<Scene, Error> {
     let figures = motions.iter().zip(names(motions));
     let figures = figures
-        .map(|(path, name)| figure(systems, path, name, reading))
-        .collect::<Result<Vec<SceneObject>, Error>>()?;
+        .map(|(path, name)| figures_of(systems, path, name, reading))
+        .collect::<Result<Vec<_>, Error>>()?
+        .concat();
     let floor = match &reading.goal {
         Some(path) => floor(&read_goal(path)?.0),
         None => Floor::default(),
@@ -129,17 +130,31 @@ fn names(paths: &[PathBuf]) -> Vec<String> {
     paths.iter().map(name).collect()
 }
 
-/// The figure in a file, with the source frames of a matched motion.
-fn figure(
+/// The figures in a file, the first with the source frames of a matched motion.
+fn figures_of(
     systems: Systems<'_>,
     path: &Path,
     name: String,
     reading: &Reading,
-) -> Result<SceneObject, Error> {
-    let motion = Motion::read(systems, path, &reading.bvh)?;
-    let mut figure = of_motion(&motion, name)?;
-    figure.origins = origins::beside(path, figure.frames());
-    Ok(figure)
+) -> Result<Vec<SceneObject>, Error> {
+    let motions = match is_bvh(path) {
+        true => {
+            let captures = Capture::read_figures(path, &reading.bvh)?.into_iter();
+            captures.map(Motion::Bvh).collect()
+        }
+        false => vec![Motion::read(systems, path, &reading.bvh)?],
+    };
+    let several = motions.len() > 1;
+    let figures = motions.iter().enumerate().map(|(index, motion)| {
+        let name = match several {
+            true => format!("{name} {}", index + 1),
+            false => name.clone(),
+        };
+        of_motion(motion, name)
+    });
+    let mut figures: Vec<SceneObject> = figures.collect::<Result<_, _>>()?;
+    figures[0].origins = origins::beside(path, figures[0].frames());
+    Ok(figures)
 }
 
 /// The figure of a motion.
@@ -187,30 +202,39 @@ fn no_legs(path: &Path, what: &str) -> Error {
     )
 }
 
-/// A motion as BVH in centimeters with +y up, for the file `out`. `lock_feet` locks standing feet.
-/// Fails if the motion cannot be read, or its skeleton is unknown.
-pub fn as_bvh(
+/// A motion as the text of a BVH file in centimeters with +y up, for the file `out`. `lock_feet` locks
+/// standing feet. Fails if the motion cannot be read, or its skeleton is unknown.
+pub fn bvh_text(
     systems: Systems<'_>,
     path: &Path,
     reading: &BvhReading,
     out: &Path,
     lock_feet: bool,
-) -> Result<Bvh, Error> {
+) -> Result<String, Error> {
+    if is_bvh(path) {
+        if lock_feet {
+            return Err(no_legs(path, "a BVH file"));
+        }
+        let captures = Capture::read_figures(path, reading)?;
+        let figures = captures.iter().map(Capture::in_centimetres);
+        let figures: Vec<Bvh> = figures.collect::<Result<_, _>>()?;
+        return Ok(Bvh::figures_to_text(&figures));
+    }
     let array = match Motion::read(systems, path, reading)? {
         Motion::Array(array) => array,
-        Motion::Bvh(_) if lock_feet => return Err(no_legs(path, "a BVH file")),
-        Motion::Bvh(capture) => return capture.in_centimetres(),
         Motion::Points(_, _, error) => return Err(error),
+        Motion::Bvh(_) => unreachable!("BVH files end in .bvh"),
     };
     if array.representation.name() == Phrases.name() {
         if lock_feet {
             return Err(no_legs(path, "a phrase, which has no body"));
         }
         let phrase = Phrase::new(array.values)?;
-        return Bvh::from_phrase(&phrase, CENTIMETRES).map_err(unusable);
+        let phrase = Bvh::from_phrase(&phrase, CENTIMETRES).map_err(unusable)?;
+        return Ok(phrase.to_text());
     }
     let (joints, skeleton) = array.body()?;
-    bvh_file(out, &joints, &skeleton, lock_feet)
+    Ok(bvh_file(out, &joints, &skeleton, lock_feet)?.to_text())
 }
 
 /// The figure of rows of a representation; none if a position is not finite.

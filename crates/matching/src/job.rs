@@ -6,13 +6,14 @@ use kinegrad_random::{Key, Purpose};
 use kinegrad_settings::{Refused, in_range};
 use serde::{Deserialize, Serialize};
 
+use crate::common_joints::unify;
 use crate::foot_locking::{known_legs, lock_feet};
 use crate::limit_jerk::{self, jerks, percentile_95};
 use crate::metrics::Reference;
 use crate::synthesis::{start_noise, synthesize_from, synthesize_like};
 use crate::{
-    Channels, Constraint, Error, Example, Frames, Keyframe, Length, Looping, Made, MatrixOptions,
-    MotionMatrix, Part, Request, Seam, Settings, Synthesis, feet,
+    Channels, CommonJoints, Constraint, Error, Example, Frames, JointNames, Keyframe, Length,
+    Looping, Made, MatrixOptions, MotionMatrix, Part, Request, Seam, Settings, Synthesis, feet,
 };
 
 mod adaptation;
@@ -105,6 +106,28 @@ pub struct Job {
 }
 
 impl Job {
+    /// Brings the examples and the motions of this job onto the joints that all have in common, with
+    /// the names and bones of the first example. `None`, without a change, if all have one skeleton.
+    ///
+    /// Joints correspond by `names`, by the built-in joint maps of captures, or by their names
+    /// without prefixes.
+    ///
+    /// # Errors
+    /// Fails if, without `names` and maps, each of two skeletons has a joint that the other lacks, or
+    /// if corresponding joints lie in another order along a limb.
+    pub fn unify(
+        &mut self,
+        examples: &mut [Example],
+        names: Option<&JointNames>,
+    ) -> Result<Option<CommonJoints>, Error> {
+        let fixed = self.fixed.iter_mut().map(|fixed| &mut fixed.motion);
+        let sources = self.keyframes.iter_mut();
+        let sources = sources.filter_map(|(_, source)| source.as_mut());
+        let own = fixed.chain(self.content.as_mut()).chain(sources);
+        let mut motions: Vec<&mut Example> = examples.iter_mut().chain(own).collect();
+        unify(&mut motions, names, self.up)
+    }
+
     /// Synthesises a motion.
     ///
     /// # Errors

@@ -21,12 +21,14 @@
 //! # Ok::<(), kinegrad_settings::InvalidSetting>(())
 //! ```
 
+mod common_joints;
 mod constraint;
 mod continuity;
 mod diagonals;
 mod displacement;
 mod distance;
 mod error;
+mod figures;
 mod foot_locking;
 mod frames;
 mod job;
@@ -46,9 +48,11 @@ mod smoothing;
 mod synthesis;
 mod vote;
 
+pub use common_joints::{CommonJoints, JointNames};
 pub use constraint::Constraint;
 pub use displacement::{displacements, places};
 pub use error::Error;
+pub use figures::{joined, separated};
 pub use frames::Frames;
 pub use job::{Adaptation, Fixed, Heading, Job, PartChoice};
 pub use keyframes::Keyframe;

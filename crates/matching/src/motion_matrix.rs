@@ -22,8 +22,8 @@ mod root_trajectory;
 mod root_warp;
 mod skeleton;
 
-pub(crate) use skeleton::thinning;
 use skeleton::{ancestors, common_root_joint, position_ranges, scale};
+pub(crate) use skeleton::{thinning, travelling_joint};
 
 /// Channels of a rotation.
 const ROTATION: usize = 6;
@@ -162,6 +162,13 @@ impl MotionMatrix {
     /// joints of the file.
     fn is_ancestor(&self, joint: usize) -> bool {
         joint < self.ancestors.len()
+    }
+
+    /// True for the root joint, and for the highest joint of each figure that moves relative to it.
+    pub(crate) fn carries_body(&self, joint: usize) -> bool {
+        let own = &self.joints()[joint];
+        let is_figure = own.parent == Some(self.root_joint) && own.offset == [0.0; 3];
+        joint == self.root_joint || is_figure && self.translated.binary_search(&joint).is_ok()
     }
 
     /// The joints, in file order.

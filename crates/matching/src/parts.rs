@@ -99,7 +99,7 @@ impl Part {
                 limbs.push(Self {
                     name: bare_name(&joints[joint].name).to_string(),
                     joints: [vec![parent], subtree].concat(),
-                    root_trajectory: parent == layout.root_joint,
+                    root_trajectory: layout.carries_body(parent),
                 });
             }
         }
@@ -237,12 +237,13 @@ impl Part {
                 name == "legs" && called(hip, "hip") && is_above.iter().all(only_legs)
             };
             let tops = (1..joints.len())
-                .filter(|&joint| joint != layout.root_joint)
+                .filter(|&joint| !layout.carries_body(joint))
                 .filter(|&joint| called(joint, words) || thigh(joint));
             let mut found = subtrees(joints, tops);
             if !found.is_empty() {
                 // The joint above the legs rotates the legs, so it belongs to this part.
-                found.extend(has_root.then(|| layout.root_joint));
+                let above = (0..joints.len()).filter(|&joint| layout.carries_body(joint));
+                found.extend(above.filter(|_| *has_root));
                 found.sort_unstable();
                 found.dedup();
                 return Ok(of(found, *has_root));
@@ -284,7 +285,7 @@ fn no_joint(layout: &MotionMatrix, name: &str, file: &str) -> Error {
 }
 
 /// The first joint of each name, with and without its namespace.
-fn by_name(joints: &[Joint]) -> HashMap<&str, usize> {
+pub(crate) fn by_name(joints: &[Joint]) -> HashMap<&str, usize> {
     let mut found = HashMap::new();
     for (index, joint) in joints.iter().enumerate() {
         for name in [&joint.name, bare_name(&joint.name)] {
@@ -304,7 +305,7 @@ fn or_below(joints: &[Joint], mut holds: Vec<bool>) -> Vec<bool> {
 }
 
 /// A joint and its descendants, which follow it in file order.
-fn subtree(joints: &[Joint], top: usize) -> impl Iterator<Item = usize> {
+pub(crate) fn subtree(joints: &[Joint], top: usize) -> impl Iterator<Item = usize> {
     let is_below = move |joint: &usize| joints[*joint].parent.is_some_and(|parent| parent >= top);
     std::iter::once(top).chain((top + 1..joints.len()).take_while(is_below))
 }

@@ -16,7 +16,7 @@ const MILLISECONDS: std::ops::RangeInclusive<f64> = 4.0..=1000.0;
 const MOST_CHANNELS: usize = 6;
 
 impl Bvh {
-    /// Reads a BVH file from its bytes; `file` is its name for messages.
+    /// Reads a BVH file of one figure from its bytes; `file` is its name for messages.
     ///
     /// Within the hierarchy any whitespace separates words; each frame is one line, and one frame more
     /// than declared is read too. Lines end in line feeds, carriage returns or both. Text is UTF-8, or
@@ -27,37 +27,73 @@ impl Bvh {
     /// # Errors
     /// [`Error::Format`].
     pub fn parse(bytes: &[u8], file: &str) -> Result<Self, Error> {
-        let text = decoded(bytes);
-        let ends = |c: char| c.is_whitespace() || matches!(c, '\0' | '\u{1a}');
-        let text = text.trim_start_matches('\u{feff}').trim_end_matches(ends);
-        let mut reader = Reader {
-            file,
-            lines: text.lines().enumerate(),
-            rest: "",
-            line: 1,
-        };
-        let joints = reader.hierarchy()?;
-        let channels: usize = joints.iter().map(|joint| joint.channels.len()).sum();
-        if channels == 0 {
-            let hint = "a motion needs numbers that change: export the joints with their channels";
-            let found = "a hierarchy without channels";
-            return Err(reader.error(found, "at least one channel", hint));
-        }
-        let Motion {
-            declared,
-            frame_time,
-            values,
-        } = reader.motion(&joints, channels)?;
-        let milliseconds = Some(frame_time).filter(|time| MILLISECONDS.contains(time));
-        Ok(Self {
-            frames_beyond: values.len() / channels - declared,
-            joints,
-            frame_time: milliseconds.map_or(frame_time, |found| found / 1000.0),
-            milliseconds,
-            channels,
-            values,
-        })
+        let mut figures = read(bytes, file, false)?;
+        Ok(figures.remove(0))
     }
+
+    /// The figures of a BVH file, one for each ROOT, read as by [`parse`](Self::parse).
+    ///
+    /// # Errors
+    /// [`Error::Format`].
+    pub fn parse_figures(bytes: &[u8], file: &str) -> Result<Vec<Self>, Error> {
+        read(bytes, file, true)
+    }
+}
+
+/// The figures of a file; several only if `may_be_several`.
+fn read(bytes: &[u8], file: &str, may_be_several: bool) -> Result<Vec<Bvh>, Error> {
+    let text = decoded(bytes);
+    let ends = |c: char| c.is_whitespace() || matches!(c, '\0' | '\u{1a}');
+    let text = text.trim_start_matches('\u{feff}').trim_end_matches(ends);
+    let mut reader = Reader {
+        file,
+        lines: text.lines().enumerate(),
+        rest: "",
+        line: 1,
+    };
+    let figures = reader.figures(may_be_several)?;
+    let channels = |joints: &Vec<Joint>| -> usize {
+        let channels = joints.iter().map(|joint| joint.channels.len());
+        channels.sum()
+    };
+    let counts: Vec<usize> = figures.iter().map(channels).collect();
+    if counts.contains(&0) {
+        let hint = "a motion needs numbers that change: export the joints with their channels";
+        let found = "a hierarchy without channels";
+        return Err(reader.error(found, "at least one channel", hint));
+    }
+    let all: usize = counts.iter().sum();
+    let motion = reader.motion(&figures, all)?;
+    let milliseconds = Some(motion.frame_time).filter(|time| MILLISECONDS.contains(time));
+    let mut rows = motion.values;
+    let frames = rows.len() / all;
+    let mut first = 0;
+    let figures = figures
+        .into_iter()
+        .zip(counts)
+        .map(|(mut joints, channels)| {
+            for joint in &mut joints {
+                joint.first_channel = joint.first_channel.saturating_sub(first);
+            }
+            let own = first..first + channels;
+            let values = match channels == all {
+                true => std::mem::take(&mut rows),
+                false => {
+                    let rows = rows.chunks_exact(all);
+                    rows.flat_map(|row| &row[own.clone()]).copied().collect()
+                }
+            };
+            first += channels;
+            Bvh {
+                joints,
+                frame_time: milliseconds.map_or(motion.frame_time, |found| found / 1000.0),
+                channels,
+                values,
+                frames_beyond: frames - motion.declared,
+                milliseconds,
+            }
+        });
+    Ok(figures.collect())
 }
 
 /// The text of a file, with line feeds at the ends of lines.
@@ -184,12 +220,31 @@ impl<'a> Reader<'a> {
         Ok(vector)
     }
 
-    /// The tree, without recursion: its depth is bounded by the text alone.
-    fn hierarchy(&mut self) -> Result<Vec<Joint>, Error> {
+    /// The joints of each figure, up to the word MOTION.
+    fn figures(&mut self, may_be_several: bool) -> Result<Vec<Vec<Joint>>, Error> {
         self.expect("HIERARCHY")?;
         self.expect("ROOT")?;
-        let mut joints = Vec::new();
         let mut first_channel = 0;
+        let mut figures = vec![self.hierarchy(&mut first_channel)?];
+        loop {
+            let word = self.word();
+            match word.to_ascii_uppercase().as_str() {
+                "MOTION" => return Ok(figures),
+                "ROOT" if may_be_several => figures.push(self.hierarchy(&mut first_channel)?),
+                "ROOT" => {
+                    let hint = "`kinegrad match` and `kinegrad view` read files of several figures; \
+                                otherwise export one figure a file";
+                    return Err(self.error("a second ROOT", "`MOTION`", hint));
+                }
+                _ => return Err(self.error(shown(word), "`MOTION`", "the file may be cut off")),
+            }
+        }
+    }
+
+    /// The tree below a ROOT, without recursion: its depth is bounded by the text alone. Advances
+    /// the place `first_channel` of the next channel within a frame.
+    fn hierarchy(&mut self, first_channel: &mut usize) -> Result<Vec<Joint>, Error> {
+        let mut joints = Vec::new();
         // The joints with open braces, each with true where OFFSET and CHANNELS were seen.
         let mut open: Vec<(usize, bool, bool)> =
             vec![(self.open(&mut joints, None)?, false, false)];
@@ -203,8 +258,8 @@ impl<'a> Reader<'a> {
                 "CHANNELS" if !*channels_seen => {
                     *channels_seen = true;
                     joints[*current].channels = self.channels()?;
-                    joints[*current].first_channel = first_channel;
-                    first_channel += joints[*current].channels.len();
+                    joints[*current].first_channel = *first_channel;
+                    *first_channel += joints[*current].channels.len();
                 }
                 "JOINT" => {
                     let parent = *current;
@@ -264,16 +319,8 @@ impl<'a> Reader<'a> {
         Ok(channels)
     }
 
-    /// The frames of a hierarchy with so many channels.
-    fn motion(&mut self, joints: &[Joint], channels: usize) -> Result<Motion, Error> {
-        let word = self.word();
-        if word.eq_ignore_ascii_case("ROOT") {
-            let hint = "files with several roots are not supported: export one figure a file";
-            return Err(self.error("a second ROOT", "`MOTION`", hint));
-        }
-        if !word.eq_ignore_ascii_case("MOTION") {
-            return Err(self.error(shown(word), "`MOTION`", "the file may be cut off"));
-        }
+    /// The frames of figures with so many channels.
+    fn motion(&mut self, figures: &[Vec<Joint>], channels: usize) -> Result<Motion, Error> {
         let declared = self.setting("Frames")?;
         let frames: usize = declared.parse().ok().filter(|n| *n > 0).ok_or_else(|| {
             let allowed = "a number of frames, at least 1";
@@ -294,7 +341,7 @@ impl<'a> Reader<'a> {
             for word in std::mem::take(&mut self.rest).split_whitespace() {
                 let channel = values.len() - before;
                 let owner = || {
-                    let mut owners = joints.iter().rev();
+                    let mut owners = figures.iter().flatten().rev();
                     let owner = owners.find(|joint| joint.first_channel <= channel);
                     let name = owner.map_or("", |joint| &joint.name);
                     format!(" in frame {found}, joint `{name}`")

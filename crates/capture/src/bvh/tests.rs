@@ -217,6 +217,37 @@ fn several_figures_are_named() {
 }
 
 #[test]
+fn the_figures_of_a_file_are_read_and_written_back() {
+    let [one, two] = ["a", "b"].map(|name| FIGURE.replace("Hips", name));
+    let [first, second] = [&one, &two].map(|text| parse(text).unwrap());
+    let (hierarchy, frames) = (second.to_text(), first.frames());
+    let (hierarchy, _) = hierarchy.split_once("MOTION").unwrap();
+    let text = Bvh::figures_to_text(&[first.clone(), second.clone()]);
+    assert!(text.contains(hierarchy.strip_prefix("HIERARCHY\n").unwrap()));
+    let read = Bvh::parse_figures(text.as_bytes(), "two.bvh").unwrap();
+    assert_eq!(read.len(), 2);
+    for (read, known) in read.iter().zip([&first, &second]) {
+        assert_eq!(read.joints(), known.joints());
+        for t in 0..frames {
+            assert_eq!(read.world(t), known.world(t));
+        }
+    }
+    assert_eq!(Bvh::figures_to_text(&read), text);
+    // A figure alone, and a number that is missing in the second figure.
+    assert_eq!(
+        Bvh::parse_figures(one.as_bytes(), "one.bvh").unwrap(),
+        [first]
+    );
+    let short = text.trim_end().rsplit_once(' ').unwrap().0;
+    let said = Bvh::parse_figures(short.as_bytes(), "two.bvh").unwrap_err();
+    assert!(said.to_string().contains("numbers"), "{said}");
+    let still = "ROOT b { OFFSET 0 0 0 }\nMOTION";
+    let still = SMALL.replace("MOTION", still);
+    let said = Bvh::parse_figures(still.as_bytes(), "still.bvh").unwrap_err();
+    assert!(said.to_string().contains("without channels"), "{said}");
+}
+
+#[test]
 fn mistakes_are_named_with_their_line() {
     let cases = [
         ("HIERARCHY", "HIERARCH", 1, "`HIERARCHY`"),

@@ -6,16 +6,16 @@ use kinegrad_settings::InvalidSetting;
 
 use super::euler::degrees;
 use super::{Axis, Bvh, CHANNELS, Channel, Joint};
-use crate::Error;
 use crate::error::{require, require_positive};
+use crate::{Error, RootPose};
 
 /// Turns of every written joint, in the order of most BVH files.
 const ZXY: [Axis; 3] = [Axis::Z, Axis::X, Axis::Y];
 
 impl Joint {
-    /// A joint for [`Bvh::from_rotations`]: a one-line `name` without braces, an earlier `parent`,
-    /// its `offset` in the file's units (unused for the root), and, without a child, the end of its
-    /// bone.
+    /// A joint for [`Bvh::from_rotations`] and [`Bvh::from_poses`]: a one-line `name` without braces,
+    /// an earlier `parent`, its `offset` in the file's units, and, without a child, the end of its
+    /// bone. It has no channels yet.
     pub fn new(
         name: String,
         parent: Option<usize>,
@@ -90,42 +90,90 @@ impl Bvh {
         })
     }
 
+    /// A file of joints with their own channels and the motion `locals`, `[frames, joints]` row by
+    /// row, as [`reposed`](Self::reposed) writes it.
+    ///
+    /// # Errors
+    /// [`Error::Setting`] for joints that are not a tree or have no channels, and those of
+    /// [`reposed`](Self::reposed).
+    pub fn from_poses(
+        mut joints: Vec<Joint>,
+        frame_time: f64,
+        locals: &[RootPose],
+    ) -> Result<Self, Error> {
+        check_joints(&joints)?;
+        let mut channels = 0;
+        for joint in &mut joints {
+            joint.first_channel = channels;
+            channels += joint.channels.len();
+        }
+        let some = "at least one channel";
+        require(channels > 0, "channels", "none", some)?;
+        let blank = Self {
+            joints,
+            frame_time,
+            channels,
+            values: vec![0.0; channels],
+            frames_beyond: 0,
+            milliseconds: None,
+        };
+        blank.reposed(frame_time, locals)
+    }
+
     /// The file's text, numbers to six decimals; [`Bvh::parse`] reads this text back.
     pub fn to_text(&self) -> String {
+        Self::figures_to_text(std::slice::from_ref(self))
+    }
+
+    /// The text of a file with a ROOT for each figure; [`Bvh::parse_figures`] reads this text back.
+    ///
+    /// # Panics
+    /// Panics without figures, or if their frames differ in number.
+    pub fn figures_to_text(figures: &[Self]) -> String {
+        let first = figures.first().expect("one figure or more");
+        let frames = first.frames();
+        assert!(figures.iter().all(|figure| figure.frames() == frames));
         let mut text = "HIERARCHY\n".to_string();
+        for figure in figures {
+            figure.write_hierarchy(&mut text);
+        }
+        let frame_time = first.frame_time;
+        text += &format!("MOTION\nFrames: {frames}\nFrame Time: {frame_time}\n");
+        for t in 0..frames {
+            let numbers = figures.iter().flat_map(|figure| figure.frame(t));
+            let numbers: Vec<String> = numbers.map(|v| format!("{v:.6}")).collect();
+            line(&mut text, 0, &numbers.join(" "));
+        }
+        text
+    }
+
+    fn write_hierarchy(&self, text: &mut String) {
         let mut open: Vec<usize> = Vec::new();
         for (index, joint) in self.joints.iter().enumerate() {
             while open.last().copied() != joint.parent {
                 open.pop();
-                line(&mut text, open.len(), "}");
+                line(text, open.len(), "}");
             }
             let kind = joint.parent.map_or("ROOT", |_| "JOINT");
-            line(&mut text, open.len(), &format!("{kind} {}", joint.name));
-            line(&mut text, open.len(), "{");
+            line(text, open.len(), &format!("{kind} {}", joint.name));
+            line(text, open.len(), "{");
             open.push(index);
-            line(&mut text, open.len(), &offset(joint.offset));
+            line(text, open.len(), &offset(joint.offset));
             if !joint.channels.is_empty() {
                 let names: Vec<&str> = joint.channels.iter().map(channel_name).collect();
                 let channels = format!("CHANNELS {} {}", names.len(), names.join(" "));
-                line(&mut text, open.len(), &channels);
+                line(text, open.len(), &channels);
             }
             for end in &joint.end_sites {
-                line(&mut text, open.len(), "End Site");
-                line(&mut text, open.len(), "{");
-                line(&mut text, open.len() + 1, &offset(*end));
-                line(&mut text, open.len(), "}");
+                line(text, open.len(), "End Site");
+                line(text, open.len(), "{");
+                line(text, open.len() + 1, &offset(*end));
+                line(text, open.len(), "}");
             }
         }
         for depth in (0..open.len()).rev() {
-            line(&mut text, depth, "}");
+            line(text, depth, "}");
         }
-        let (frames, frame_time) = (self.frames(), self.frame_time);
-        text += &format!("MOTION\nFrames: {frames}\nFrame Time: {frame_time}\n");
-        for t in 0..frames {
-            let numbers: Vec<String> = self.frame(t).iter().map(|v| format!("{v:.6}")).collect();
-            line(&mut text, 0, &numbers.join(" "));
-        }
-        text
     }
 }
 
@@ -137,6 +185,22 @@ fn check(
 ) -> Result<(), InvalidSetting> {
     let allowed = "a positive number of seconds: 0.05 for 20 frames per second";
     require_positive("frame_time", frame_time, allowed)?;
+    check_joints(figure)?;
+    let some = !figure.is_empty() && !root.is_empty();
+    let found = format!("{} joints in {} frames", figure.len(), root.len());
+    require(some, "figure", found, "at least one joint and one frame")?;
+    let enough = rotations.len() == root.len() * figure.len();
+    let found = format!("a list of {}", rotations.len());
+    let allowed = "one rotation for each joint and frame";
+    require(enough, "rotations", found, allowed)?;
+    let finite = root.as_flattened().iter().all(|value| value.is_finite());
+    require(finite, "root", "not finite", "finite numbers")?;
+    let finite = rotations.iter().all(|rotation| rotation.norm().is_finite());
+    require(finite, "rotations", "not finite", "unit quaternions")
+}
+
+/// Checks names, tree and lengths of joints.
+fn check_joints(figure: &[Joint]) -> Result<(), InvalidSetting> {
     for (index, joint) in figure.iter().enumerate() {
         let name = &joint.name;
         let bad = |c: char| c.is_control() || c == '{' || c == '}';
@@ -153,17 +217,7 @@ fn check(
         let allowed = "finite numbers in the file's units";
         require(offsets.all(|v| v.is_finite()), "offset", found, allowed)?;
     }
-    let some = !figure.is_empty() && !root.is_empty();
-    let found = format!("{} joints in {} frames", figure.len(), root.len());
-    require(some, "figure", found, "at least one joint and one frame")?;
-    let enough = rotations.len() == root.len() * figure.len();
-    let found = format!("a list of {}", rotations.len());
-    let allowed = "one rotation for each joint and frame";
-    require(enough, "rotations", found, allowed)?;
-    let finite = root.as_flattened().iter().all(|value| value.is_finite());
-    require(finite, "root", "not finite", "finite numbers")?;
-    let finite = rotations.iter().all(|rotation| rotation.norm().is_finite());
-    require(finite, "rotations", "not finite", "unit quaternions")
+    Ok(())
 }
 
 /// The joints in the order of the text: each followed by its descendants.

@@ -229,6 +229,16 @@ impl JointMap {
         }
     }
 
+    /// The joints of a capture that are joints of the skeleton, by the skeleton's joint.
+    pub fn named_joints(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.joints
+            .iter()
+            .filter_map(|(joint, source)| match source {
+                Source::Joint(name) => Some((joint.as_str(), name.as_str())),
+                _ => None,
+            })
+    }
+
     /// A text that changes with the content of the map.
     pub fn fingerprint(&self) -> String {
         format!("{:?}", self.joints)

@@ -15,6 +15,7 @@ Examples:
   kinegrad match dance.bvh --out new.bvh
   kinegrad match dance.bvh --out new.bvh --length 20s --seed 7 --svg new.svg
   kinegrad match walk-1.bvh walk-2.bvh walk-3.bvh --out walks.bvh
+  kinegrad match person.bvh other-skeleton.bvh --out mixed.bvh --joint-map map.toml
   kinegrad match idle.bvh --out loop.bvh --length 5s --loop
   kinegrad match dance.bvh --out new.bvh --preset paper --parts parts.toml
   kinegrad match dance.bvh --out new.bvh --fix legs=walk.bvh
@@ -78,6 +79,10 @@ pub struct MatchArguments {
     /// [default: from the preset]
     #[arg(long, value_name = "PARTS")]
     pub parts: Option<PathBuf>,
+    /// File of the joints' names in examples of other skeletons [default: by name, or by the built-in
+    /// maps of known skeletons]
+    #[arg(long, value_name = "MAP.toml")]
+    pub joint_map: Option<PathBuf>,
     /// File of poses at given times
     #[arg(long, value_name = "KEYFRAMES.toml")]
     pub keyframes: Option<PathBuf>,

@@ -50,7 +50,7 @@ pub struct SampleArguments {
     #[arg(long, value_name = "N", conflicts_with = "count")]
     pub best_of: Option<usize>,
     /// What `--best-of` compares, the first measure first: `checks`, `beat` (of phrases), `goal` (or
-    /// path), `skating` (of bodies)
+    /// path), `skating` (of bodies), `text` (of clips, by `evaluation.evaluator`)
     #[arg(
         long,
         value_name = "MEASURES",

@@ -3,14 +3,16 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use kinegrad_matching::{Example, Fixed, Job, Keyframe, Looping, PartChoice, Preset, Settings};
+use kinegrad_capture::Bvh;
+use kinegrad_matching::{
+    CommonJoints, Example, Fixed, Job, JointNames, Keyframe, Looping, PartChoice, Preset, Settings,
+    separated,
+};
 use kinegrad_report::check_ending;
 use kinegrad_train::{Error, Systems};
 
 use crate::args::MatchArguments;
-use crate::io::{
-    Content, exit_code, file_stem, is_bvh, must_be_new, unit_and_axis, unusable_path, write_all,
-};
+use crate::io::{Content, exit_code, file_stem, is_bvh, must_be_new, unusable_path, write_all};
 use crate::output::unusable;
 use crate::{folder, interrupt, output};
 
@@ -31,19 +33,23 @@ pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, 
     let record_path = arguments.out.with_extension("json");
     check_outputs(&arguments, &record_path)?;
     let read = arguments.examples.iter();
-    let read = read.map(|path| motions::read(systems, path));
+    let read = read.map(|path| motions::read(systems, path, arguments.up));
     let read: Vec<Motion> = read.collect::<Result<_, _>>()?;
-    let clip = read[0].clip.clone();
-    let examples: Vec<Example> = read.into_iter().map(|motion| motion.example).collect();
+    let first = &read[0];
+    for other in &read {
+        other.must_have_figures_of(first)?;
+    }
     let clip = match is_clip(&arguments.out) {
-        true => Some(clip.ok_or_else(|| no_clip(&arguments))?),
+        true => Some(first.clip.clone().ok_or_else(|| no_clip(&arguments))?),
         false => None,
     };
-    let job = job(systems, &arguments, &examples)?;
+    let mut job = job(systems, &arguments, first)?;
+    let (metres_per_unit, figures) = (first.unit_and_axis.0, first.figures.clone());
+    let mut examples: Vec<Example> = read.into_iter().map(|motion| motion.example).collect();
+    let common = unify(&arguments, &mut job, &mut examples, figures.len())?;
     let made = job.make(&examples).map_err(unusable)?;
     let features = clip.map(|clip| clip.features(&made.bvh)).transpose()?;
-    let metres_per_unit = unit_and_axis(&examples[0].bvh, None, Some(job.up)).0;
-    let record = Record::new(&arguments, &made, metres_per_unit);
+    let record = Record::new(&arguments, &made, common, metres_per_unit);
     let described = serde_json::to_string_pretty(&record).expect("plain data") + "\n";
     let is_unusable = record.is_far() && !arguments.allow_unusable;
     let named = |path: &PathBuf| match is_unusable {
@@ -58,7 +64,11 @@ pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, 
     }
     let content = match &features {
         Some(features) => Content::features(features),
-        None => Content::Text(made.bvh.to_text()),
+        None if figures.is_empty() => Content::Text(made.bvh.to_text()),
+        None => {
+            let figures = separated(&made.bvh, &figures).map_err(unusable)?;
+            Content::Text(Bvh::figures_to_text(&figures))
+        }
     };
     let written = [
         (out.clone(), content),
@@ -85,6 +95,47 @@ pub fn run(systems: Systems<'_>, arguments: MatchArguments) -> Result<ExitCode, 
         output::how_to_view(std::slice::from_ref(&out), None);
     }
     Ok(exit_code(is_unusable.into(), "motion", ADVICE))
+}
+
+/// Brings motions of different skeletons onto their common joints. `figures`: the number of figures in
+/// the first example, if there are several.
+fn unify(
+    arguments: &MatchArguments,
+    job: &mut Job,
+    examples: &mut [Example],
+    figures: usize,
+) -> Result<Option<CommonJoints>, Error> {
+    let names = arguments.joint_map.as_deref();
+    if let Some(path) = names.filter(|_| figures > 0) {
+        let message = format!(
+            "`--joint-map {}` with {figures} figures in {}",
+            path.display(),
+            examples[0].file
+        );
+        return Err(Error::usage(
+            message,
+            "files of several figures have the same joints",
+        ));
+    }
+    if figures > 0 {
+        return Ok(None);
+    }
+    let names = names.map(|path| {
+        let (text, file) = (read_text(path)?, path.display().to_string());
+        JointNames::read(&text, &file).map_err(unusable)
+    });
+    let names = names.transpose()?;
+    let common = job.unify(examples, names.as_ref()).map_err(unusable)?;
+    if common.is_some() && is_clip(&arguments.out) {
+        let out = &arguments.out;
+        let message = format!(
+            "`--out {}` with examples of different skeletons",
+            out.display()
+        );
+        let hint = format!("`--out {}`", out.with_extension("bvh").display());
+        return Err(Error::usage(message, hint));
+    }
+    Ok(common)
 }
 
 /// The error for a clip as output of an example that is not a clip.
@@ -122,7 +173,8 @@ fn check_outputs(arguments: &MatchArguments, record: &PathBuf) -> Result<(), Err
 fn files_read(arguments: &MatchArguments) -> Vec<PathBuf> {
     let keyframes = &arguments.keyframes;
     let fixed = arguments.fix.iter().map(|(_, path)| path);
-    let named = [&arguments.content, &arguments.parts, keyframes];
+    let maps = &arguments.joint_map;
+    let named = [&arguments.content, &arguments.parts, maps, keyframes];
     let read = arguments.examples.iter().chain(fixed);
     let mut read: Vec<PathBuf> = read.chain(named.into_iter().flatten()).cloned().collect();
     // An unreadable file of key frames causes an error later.
@@ -136,9 +188,11 @@ fn files_read(arguments: &MatchArguments) -> Vec<PathBuf> {
     read
 }
 
-/// Reads a BVH file or a clip.
-fn read(systems: Systems<'_>, path: &Path) -> Result<Example, Error> {
-    Ok(motions::read(systems, path)?.example)
+/// Reads a BVH file or a clip, with the axis and the number of figures of the `first` example.
+fn read(systems: Systems<'_>, path: &Path, first: &Motion) -> Result<Example, Error> {
+    let motion = motions::read(systems, path, Some(first.unit_and_axis.1))?;
+    motion.must_have_figures_of(first)?;
+    Ok(motion.example)
 }
 
 fn read_text(path: &Path) -> Result<String, Error> {
@@ -149,11 +203,7 @@ fn read_text(path: &Path) -> Result<String, Error> {
     })
 }
 
-fn job(
-    systems: Systems<'_>,
-    arguments: &MatchArguments,
-    examples: &[Example],
-) -> Result<Job, Error> {
+fn job(systems: Systems<'_>, arguments: &MatchArguments, first: &Motion) -> Result<Job, Error> {
     let is_paper = arguments.preset == Some(Preset::Paper);
     let parts = arguments.parts.as_deref();
     let parts = match parts.map(|parts| (parts, parts.to_str())) {
@@ -166,23 +216,23 @@ fn job(
         },
     };
     let keyframes = match &arguments.keyframes {
-        Some(path) => keyframes(systems, path)?,
+        Some(path) => keyframes(systems, path, first)?,
         None => Vec::new(),
     };
     let fixed = arguments.fix.iter().map(|(part, path)| {
         Ok(Fixed {
             part: part.clone(),
-            motion: read(systems, path)?,
+            motion: read(systems, path, first)?,
         })
     });
     let content = arguments.content.as_ref();
-    let content = content.map(|path| read(systems, path));
+    let content = content.map(|path| read(systems, path, first));
     Ok(Job {
         settings: settings(arguments)?,
         length: arguments.length,
         seed: arguments.seed,
         content: content.transpose()?,
-        up: unit_and_axis(&examples[0].bvh, None, arguments.up).1,
+        up: first.unit_and_axis.1,
         contacts: is_paper,
         heading: arguments.heading,
         adapts: !sets_mixing(arguments),
@@ -224,12 +274,16 @@ fn settings(arguments: &MatchArguments) -> Result<Settings, Error> {
 }
 
 /// The key frames of a file, and the motions beside the file that provide their poses.
-fn keyframes(systems: Systems<'_>, path: &Path) -> Result<Vec<(Keyframe, Option<Example>)>, Error> {
+fn keyframes(
+    systems: Systems<'_>,
+    path: &Path,
+    first: &Motion,
+) -> Result<Vec<(Keyframe, Option<Example>)>, Error> {
     let text = read_text(path)?;
     let keyframes = Keyframe::read(&text, &path.display().to_string()).map_err(unusable)?;
     let with_source = |keyframe: Keyframe| {
         let source = keyframe.file.as_ref();
-        let source = source.map(|file| read(systems, &path.with_file_name(file)));
+        let source = source.map(|file| read(systems, &path.with_file_name(file), first));
         Ok((keyframe, source.transpose()?))
     };
     keyframes.into_iter().map(with_source).collect()

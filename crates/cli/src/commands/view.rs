@@ -72,7 +72,13 @@ pub fn run(systems: Systems<'_>, arguments: ViewArguments) -> Result<ExitCode, E
     let mut bvh = None;
     if let Some(out) = &arguments.bvh {
         let lock_feet = arguments.lock_feet;
-        bvh = Some(scene::as_bvh(systems, &motions[0], &reading.bvh, out, lock_feet)?.to_text());
+        bvh = Some(scene::bvh_text(
+            systems,
+            &motions[0],
+            &reading.bvh,
+            out,
+            lock_feet,
+        )?);
     }
     for (_, path) in &outputs {
         folder::must_be_writable(path)?;

@@ -29,18 +29,35 @@ pub fn is_bvh(path: &Path) -> bool {
     has_extension(path, "bvh")
 }
 
-/// Reads a BVH file. Fails if the file cannot be read or is not BVH.
+/// Reads a BVH file of one figure. Fails if the file cannot be read or is not BVH.
 pub fn read_bvh(path: &Path) -> Result<Bvh, Error> {
+    let (file, bytes) = read_bytes(path)?;
+    let bvh = Bvh::parse(&bytes, &file).map_err(unusable)?;
+    tell_notes(&file, &bvh);
+    Ok(bvh)
+}
+
+/// Reads the figures of a BVH file, one or more. Fails like [`read_bvh`].
+pub fn read_figures(path: &Path) -> Result<Vec<Bvh>, Error> {
+    let (file, bytes) = read_bytes(path)?;
+    let figures = Bvh::parse_figures(&bytes, &file).map_err(unusable)?;
+    tell_notes(&file, &figures[0]);
+    Ok(figures)
+}
+
+fn read_bytes(path: &Path) -> Result<(String, Vec<u8>), Error> {
     let file = path.display().to_string();
     let bytes = read_file(path, LARGEST).map_err(|error| {
         let message = format!("{file} cannot be read: {error}");
         Error::usage(message, "give a BVH file that is there")
     })?;
-    let bvh = Bvh::parse(&bytes, &file).map_err(unusable)?;
+    Ok((file, bytes))
+}
+
+fn tell_notes(file: &str, bvh: &Bvh) {
     for note in bvh.notes() {
         tell!("note: {file}: {note}");
     }
-    Ok(bvh)
 }
 
 /// The body of a BVH file as joints of the HumanML3D skeleton ([`clips::read_body`]); prints notes.
@@ -107,7 +124,21 @@ pub struct Capture {
 impl Capture {
     /// Reads a BVH file. Prints its unit and its vertical axis unless both are given.
     pub fn read(path: &Path, reading: &BvhReading) -> Result<Self, Error> {
-        let bvh = read_bvh(path)?;
+        Ok(Self::of(read_bvh(path)?, path, reading))
+    }
+
+    /// Reads the figures of a BVH file, all in the unit and axis of the first.
+    pub fn read_figures(path: &Path, reading: &BvhReading) -> Result<Vec<Self>, Error> {
+        let mut figures = read_figures(path)?.into_iter();
+        let first = figures.next().expect("one figure or more");
+        let first = Self::of(first, path, reading);
+        let (metres, up) = (first.metres, first.up);
+        let others = figures.map(|bvh| Self { bvh, metres, up });
+        Ok(std::iter::once(first).chain(others).collect())
+    }
+
+    /// A file that was read.
+    fn of(bvh: Bvh, path: &Path, reading: &BvhReading) -> Self {
         let (metres, up) = unit_and_axis(&bvh, reading.units, reading.up);
         if reading.units.is_none() || reading.up.is_none() {
             let axis = if up == UpAxis::Y { "y" } else { "z" };
@@ -117,7 +148,7 @@ impl Capture {
                 in_words(metres)
             );
         }
-        Ok(Self { bvh, metres, up })
+        Self { bvh, metres, up }
     }
 
     /// Joint positions in meters with +y up.

@@ -26,7 +26,7 @@ pub fn texts_path(id: &str) -> String {
 }
 
 /// A caption of a clip or of a frame range.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Caption {
     /// The sentence.
     pub text: String,

@@ -17,7 +17,7 @@ pub use novelty::{Novelty, Run};
 pub use quality::Quality;
 pub use seam::Seam;
 pub use sliding::Sliding;
-use windows::{cheapest, segmented};
+use windows::{cheapest, segmented, typical};
 
 /// Window of coverage and shortest segment of global diversity, in frames.
 const COVERED: usize = 30;
@@ -46,6 +46,12 @@ pub struct Measures {
     /// Mean distance of the motion's frames to the examples', minimised over cuts into segments of
     /// at least 30 frames. Each segment follows one example. `None` if all examples are too short.
     pub global_diversity: Option<f64>,
+    /// `local_diversity` relative to the median distance of windows of the examples that do not
+    /// overlap: 0 for a copy, 1 for motion as far from the examples as they are from themselves.
+    /// `None` if the examples do not move.
+    pub novelty: Option<f64>,
+    /// False for a novelty beyond 1: noise, or unrelated motion.
+    pub plausible: bool,
 }
 
 impl Measures {
@@ -72,12 +78,16 @@ impl Measures {
         local.pop();
         let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
         let hits = covered.iter().filter(|cost| **cost < THRESHOLD).count();
+        let unit = typical(examples, LOCAL).filter(|unit| *unit > 0.0);
+        let novelty = unit.map(|unit| mean(&local) / unit);
         Some(Self {
             coverage: hits as f64 / covered.len() as f64,
             window_cost: mean(&covered),
             local_diversity: mean(&local),
             furthest_window: local.iter().copied().fold(0.0, f64::max),
             global_diversity: Some(segmented(motion, examples, COVERED)).filter(|d| d.is_finite()),
+            novelty,
+            plausible: novelty.is_none_or(|novelty| novelty <= 1.0),
         })
     }
 }
@@ -85,6 +95,7 @@ impl Measures {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{Preset, Request, Settings, start_noise, synthesize};
 
     fn line(frames: std::ops::Range<usize>) -> Frames {
         Frames::new(1, frames.map(|t| t as f32).collect())
@@ -107,6 +118,38 @@ mod tests {
         let apart = Measures::of(&line(0..100), &[line(500..600)]).unwrap();
         assert_eq!(apart.coverage, 0.0);
         assert!(apart.local_diversity > 400.0 && apart.furthest_window > 480.0);
+    }
+
+    #[test]
+    fn novelty_tells_copies_from_mixtures_and_from_noise() {
+        // A walk of 24 numbers with a slow change, and a synthesis from it.
+        let value = |t: usize, channel: usize| {
+            let (t, channel) = (t as f32, channel as f32);
+            (0.4 * t + channel).sin() + (0.03 * t * (1.0 + 0.1 * channel)).cos()
+        };
+        let values = (0..200).flat_map(|t| (0..24).map(move |channel| value(t, channel)));
+        let example = [Frames::new(24, values.collect())];
+        let of = |motion: &Frames| {
+            let measures = Measures::of(motion, &example).unwrap();
+            (measures.novelty.unwrap(), measures.plausible)
+        };
+        assert_eq!(of(&example[0]), (0.0, true));
+        let request = Request {
+            examples: &example,
+            frames: 300,
+            settings: &Settings::of(Preset::Published),
+            groups: &[],
+            constraints: &[],
+        };
+        let (novelty, plausible) = of(&synthesize(&request, 1).unwrap().frames);
+        assert!(novelty > 0.01 && novelty < 0.6 && plausible, "{novelty}");
+        let noise = start_noise(3, 0, 300, 24);
+        let loud = noise.values().iter().map(|value| 3.0 * value).collect();
+        let (novelty, plausible) = of(&Frames::new(24, loud));
+        assert!(novelty > 1.0 && !plausible, "{novelty}");
+        let still = [Frames::zeros(100, 3)];
+        let measures = Measures::of(&still[0], &still).unwrap();
+        assert_eq!((measures.novelty, measures.plausible), (None, true));
     }
 
     #[test]

@@ -7,6 +7,8 @@ use crate::distance::{Padded, squared};
 
 /// Windows compared at a time.
 const ROWS: usize = 64;
+/// Most windows whose distances to all others give the typical distance.
+const SPACED: usize = 64;
 
 /// The frames of all targets, joined.
 struct ReferenceWindows {
@@ -64,6 +66,35 @@ pub(super) fn cheapest(motion: &Frames, targets: &[Frames], window: usize) -> Ve
         (0..rows).map(of).collect::<Vec<_>>()
     };
     firsts.par_iter().flat_map_iter(nearest).collect()
+}
+
+/// The median distance of windows of the targets that do not overlap: of evenly spaced windows, at
+/// most [`SPACED`], to all others. `None` without such windows.
+pub(super) fn typical(targets: &[Frames], window: usize) -> Option<f64> {
+    let targets = ReferenceWindows::new(targets);
+    let starts = targets.ranges.iter().flat_map(|&(start, frames)| {
+        let windows = (frames + 1).saturating_sub(window);
+        start..start + windows
+    });
+    let starts: Vec<usize> = starts.collect();
+    let step = starts.len().div_ceil(SPACED).max(1);
+    let width = targets.frames.frames();
+    let of = |&i: &usize| {
+        let distances = targets.distances(&targets.frames, i, window);
+        let apart = starts.iter().filter(|&&j| i.abs_diff(j) >= window);
+        let along = |&j: &usize| {
+            (0..window)
+                .map(|k| f64::from(distances[k * width + j + k]))
+                .sum()
+        };
+        apart.map(along).collect::<Vec<f64>>()
+    };
+    let spaced: Vec<usize> = starts.iter().copied().step_by(step).collect();
+    let mut all: Vec<f64> = spaced.par_iter().flat_map_iter(of).collect();
+    let middle = all.len() / 2;
+    let (_, median, _) =
+        (!all.is_empty()).then(|| all.select_nth_unstable_by(middle, f64::total_cmp))?;
+    Some(*median / window as f64)
 }
 
 /// Mean distance of the frames of `motion` to the targets, minimised over cuts into segments of at
@@ -180,6 +211,28 @@ mod tests {
             let exact = total[frames] / frames as f64;
             prop_assert!(found == exact || (found - exact).abs() < 1e-4);
         }
+    }
+
+    #[test]
+    fn the_typical_distance_is_the_median_over_windows_apart() {
+        let targets = [motion(1, 20), motion(2, 12)];
+        let mut all = Vec::new();
+        for (a, one) in targets.iter().enumerate() {
+            for (b, other) in targets.iter().enumerate() {
+                for (i, j) in
+                    (0..one.frames() - 4).flat_map(|i| (0..other.frames() - 4).map(move |j| (i, j)))
+                {
+                    if a != b || usize::abs_diff(i, j) >= 5 {
+                        let sum: f64 = (0..5).map(|k| apart(one, i + k, other, j + k)).sum();
+                        all.push(sum / 5.0);
+                    }
+                }
+            }
+        }
+        all.sort_by(f64::total_cmp);
+        let median = all[all.len() / 2];
+        assert!((typical(&targets, 5).unwrap() - median).abs() < 1e-4);
+        assert_eq!(typical(&[motion(1, 9)], 5), None);
     }
 
     #[test]

@@ -75,6 +75,11 @@ pub(super) fn root_joint(bvh: &Bvh, ranges: &[f64]) -> usize {
     joint
 }
 
+/// [`root_joint`] of one motion.
+pub(crate) fn travelling_joint(bvh: &Bvh) -> usize {
+    root_joint(bvh, &position_ranges(bvh))
+}
+
 /// [`root_joint`] of several motions with the ranges `all`, `[motions][joints]`, and `ranges` over
 /// all motions. In a chain without branches, the lowest root joint has the whole trajectory.
 pub(super) fn common_root_joint(bvh: &Bvh, all: &[Vec<f64>], ranges: &[f64]) -> usize {

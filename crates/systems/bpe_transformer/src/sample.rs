@@ -106,6 +106,7 @@ impl<'a> Compositions<'a> {
         self.jobs.push(Job {
             name,
             conditions,
+            caption: None,
             frames,
         });
         self.prompts.push(prompts);

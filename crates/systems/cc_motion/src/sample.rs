@@ -136,6 +136,7 @@ impl<'a> Phrases<'a> {
             name: Some(audio.name.clone()),
             frames: audio.features.frames(),
             conditions: [audio.condition].into_iter().chain(others).collect(),
+            caption: None,
         });
         self.tasks.push(Task {
             name: audio.name,

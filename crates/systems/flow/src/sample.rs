@@ -87,6 +87,7 @@ impl<'a> Rollouts<'a> {
             rollouts.jobs.push(Job {
                 name: None,
                 conditions: [condition].into_iter().chain(texts).collect(),
+                caption: None,
                 frames,
             });
             rollouts.starts.push(Start { history, prompts });

@@ -206,6 +206,7 @@ impl<'a> Clips<'a> {
             self.jobs.push(Job {
                 name: None,
                 conditions: condition.into_iter().chain(shared.clone()).collect(),
+                caption: None,
                 frames: request.length(),
             });
             self.clips.push(request);

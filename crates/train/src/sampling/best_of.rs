@@ -3,7 +3,7 @@
 use kinegrad_motion::goal::Goal;
 use serde::{Deserialize, Serialize};
 
-use super::generated::BVH;
+use super::generated::{BVH, FEATURES};
 use super::{Condition, Generated, Record, Request, Sample, Sampler};
 use crate::error::Error;
 
@@ -28,11 +28,17 @@ impl BestOf {
             SelectBy::Beat => extensions == Generated::PHRASE,
             SelectBy::Goal => request.goals().next().is_some() || request.path().is_some(),
             SelectBy::Skating => is_body,
+            SelectBy::Text => {
+                let has_text = sampler.jobs().iter().all(|job| job.text().is_some());
+                has_text && extensions.contains(&FEATURES)
+            }
         };
         let Some(by) = self.by.iter().find(|by| !has(**by)) else {
             return Ok(());
         };
-        let known = SelectBy::ALL.into_iter().filter(|by| has(*by));
+        // An evaluator is not known to be configured.
+        let known = SelectBy::ALL.into_iter();
+        let known = known.filter(|by| has(*by) && *by != SelectBy::Text);
         let known: Vec<&str> = known.map(SelectBy::name).collect();
         let hint = match known.is_empty() {
             true => "leave option `best_of` out".to_owned(),
@@ -60,11 +66,19 @@ pub enum SelectBy {
     Goal,
     /// Foot skating of a body.
     Skating,
+    /// Distance between the embeddings of text and motion, by the run's text-motion evaluator.
+    Text,
 }
 
 impl SelectBy {
     /// All measures.
-    pub const ALL: [Self; 4] = [Self::Checks, Self::Beat, Self::Goal, Self::Skating];
+    pub const ALL: [Self; 5] = [
+        Self::Checks,
+        Self::Beat,
+        Self::Goal,
+        Self::Skating,
+        Self::Text,
+    ];
 
     /// The name in options.
     pub fn name(self) -> &'static str {
@@ -73,6 +87,7 @@ impl SelectBy {
             Self::Beat => "beat",
             Self::Goal => "goal",
             Self::Skating => "skating",
+            Self::Text => "text",
         }
     }
 
@@ -106,6 +121,7 @@ impl SelectBy {
                 Some(missed + ground.unwrap_or(0.0))
             }
             Self::Skating => Some(measured?.measures.get("skating")?.value),
+            Self::Text => record.text_distance,
         }
     }
 }
@@ -287,6 +303,28 @@ mod tests {
         // Equal numbers of failed checks: the measures nearer to training.
         assert_eq!(selected(&[Checks], &[(1, 0.9), (1, 0.6), (1, 0.7)]), 1);
         assert_eq!(selected(&[Skating], &[(0, f64::NAN), (0, 0.9)]), 1);
+    }
+
+    #[test]
+    fn the_text_distance_decides() {
+        let best_of = BestOf {
+            count: 3,
+            by: vec![SelectBy::Text],
+        };
+        let mut selection = Selection::default();
+        let mut add = |index: usize, text_distance: Option<f64>| {
+            let record = Record {
+                text_distance,
+                index,
+                ..record(0, 0.1)
+            };
+            selection.add(&best_of, generated(), record)
+        };
+        assert!(add(0, None).is_none() && add(1, Some(2.0)).is_none());
+        let best = add(2, Some(1.5)).expect("the best").record;
+        assert_eq!(best.index, 2);
+        let scores = best.selection.expect("scores").scores;
+        assert_eq!(scores, [[f64::INFINITY], [2.0], [1.5]]);
     }
 
     #[test]

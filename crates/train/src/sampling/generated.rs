@@ -10,7 +10,7 @@ use super::Contents;
 // post-processing, of joint features, of the animated skeleton and of the path of a first stage.
 const MOTION: &str = ".npy";
 const RAW: &str = ".raw.npy";
-const FEATURES: &str = ".features.npy";
+pub(super) const FEATURES: &str = ".features.npy";
 pub(super) const BVH: &str = ".bvh";
 const PATH: &str = ".path.npy";
 

@@ -1,6 +1,11 @@
 //! Samplers: resolved requests.
 
-use kinegrad_data::humanml::Clip;
+use std::borrow::Cow;
+use std::rc::Rc;
+
+use kinegrad_data::humanml::{Caption, Clip};
+use kinegrad_motion::humanml::Features;
+use kinegrad_motion::metrics::text_motion::Token;
 use kinegrad_motion::path::PathReport;
 
 use super::{
@@ -8,6 +13,7 @@ use super::{
     Selection, Summary, item_seed,
 };
 use crate::TrainedModel;
+use crate::clips::evaluator::TextMotionEvaluator;
 use crate::error::Error;
 
 /// Share of its path that a motion travels at least, without a warning.
@@ -20,6 +26,8 @@ pub struct Job {
     pub name: Option<String>,
     /// The resolved conditions, for the record.
     pub conditions: Vec<Condition>,
+    /// The caption of an item.
+    pub caption: Option<Caption>,
     /// Frames of a sample.
     pub frames: usize,
 }
@@ -37,8 +45,27 @@ impl Job {
         Self {
             name: Some(clip.id.clone()),
             conditions: [&[item][..], others].concat(),
+            caption: clip.caption().cloned(),
             frames,
         }
+    }
+
+    /// The caption of its item, or its text.
+    pub(crate) fn text(&self) -> Option<Cow<'_, Caption>> {
+        let text = self
+            .conditions
+            .iter()
+            .find_map(|condition| match condition {
+                Condition::Text { text, .. } => Some(text),
+                _ => None,
+            });
+        let own = self.caption.as_ref().map(Cow::Borrowed);
+        own.or_else(|| {
+            Some(Cow::Owned(Caption {
+                text: text?.clone(),
+                ..Caption::default()
+            }))
+        })
     }
 
     /// The seed of the job's noise, which depends on the item that names the job.
@@ -104,10 +131,37 @@ pub struct Run<'a> {
     pub(crate) kept: usize,
     /// The best sample of each job so far.
     pub(crate) selections: Vec<Selection>,
+    /// The measure of samples by their texts, if samples are selected by it.
+    pub(crate) text_match: Option<TextMatch>,
     /// Distances from paths, one line per sample.
     pub(crate) paths: Vec<String>,
     /// The measures of the bodies among the samples.
     pub(crate) bodies: Vec<MeasuresRecord>,
+}
+
+/// A text-motion evaluator and the embeddings of the jobs' texts.
+pub(crate) struct TextMatch {
+    evaluator: Rc<dyn TextMotionEvaluator>,
+    texts: Vec<Vec<f64>>,
+}
+
+impl TextMatch {
+    /// The texts of `jobs`; `None` if a job has none.
+    pub fn of(evaluator: Rc<dyn TextMotionEvaluator>, jobs: &[Job]) -> Option<Self> {
+        let captions: Vec<Cow<Caption>> = jobs.iter().map(Job::text).collect::<Option<_>>()?;
+        let words: Vec<_> = captions.iter().map(|caption| caption.words()).collect();
+        let words: Vec<&[Token]> = words.iter().map(AsRef::as_ref).collect();
+        let texts = evaluator.text_embeddings(&words);
+        Some(Self { evaluator, texts })
+    }
+
+    /// Distance between the embeddings of a job's text and a motion.
+    fn distance(&self, job: usize, motion: &Features) -> Result<f64, Error> {
+        let found = self.evaluator.motion_embeddings(&[motion])?;
+        let pairs = self.texts[job].iter().zip(&found[0]);
+        let squares = pairs.map(|(text, motion)| (text - motion).powi(2));
+        Ok(squares.sum::<f64>().sqrt())
+    }
 }
 
 impl Run<'_> {
@@ -168,6 +222,11 @@ impl Run<'_> {
                 record.phrase = Some(MeasuresRecord::of_phrase(motion, statistics));
             }
             _ => {}
+        }
+        if let (Some(text_match), Generated::Clip { features, .. }) = (&self.text_match, &generated)
+            && let Some(features) = features
+        {
+            record.text_distance = Some(text_match.distance(job, features)?);
         }
         let mut sample = match &self.request.best_of {
             Some(best_of) => match self.selections[job].add(best_of, generated, record) {

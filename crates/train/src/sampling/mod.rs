@@ -25,6 +25,7 @@ pub use condition::{
 };
 pub use generated::Generated;
 pub use ground::GroundRecord;
+pub(crate) use job::TextMatch;
 pub use job::{Job, Needs, Run, Sampler};
 pub use known_frames::KnownFrames;
 pub use measures::{MeasureRecord, MeasuresRecord};

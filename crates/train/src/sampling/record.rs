@@ -70,6 +70,9 @@ pub struct Record {
     /// Beat alignment of the root's speed peaks with the beats of the audio features, 0 to 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub beat_alignment: Option<f64>,
+    /// Distance between the embeddings of text and motion, if samples are selected by it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub text_distance: Option<f64>,
     /// The selection among several samples.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub selection: Option<SelectionRecord>,
@@ -228,6 +231,7 @@ impl Record {
             body: None,
             phrase: None,
             beat_alignment: None,
+            text_distance: None,
             selection: None,
             condition: Vec::new(),
             batch: None,

@@ -75,7 +75,8 @@ impl Systems<'_> {
         Ok(Prepared { report, evaluate })
     }
 
-    fn text_motion_evaluator(
+    /// The evaluator of the table `evaluation.evaluator`; `None` if the table is empty.
+    pub(super) fn text_motion_evaluator(
         self,
         files: &EvaluatorFiles,
         device: &Device,

@@ -1,14 +1,18 @@
 //! Sampling from requests.
 
+use std::rc::Rc;
+
 use kinegrad_output::cell;
 use kinegrad_settings::counted;
 
 use super::{System, Systems};
 use crate::TrainedModel;
+use crate::clips::evaluator::TextMotionEvaluator;
 use crate::error::Error;
 use crate::memory::must_fit;
 use crate::sampling::{
-    Job, MeasuresRecord, Names, Request, Run, SampleSink, Sampler, Selection, Summary,
+    Job, MeasuresRecord, Names, Request, Run, SampleSink, Sampler, SelectBy, Selection, Summary,
+    TextMatch,
 };
 
 impl Systems<'_> {
@@ -36,8 +40,13 @@ impl Systems<'_> {
             .map_or(kept, |best_of| best_of.count);
         let request = Request { count, ..request };
         let sampler = system.sampler(trained, &request, sink)?;
+        let mut text_match = None;
         if let Some(best_of) = &request.best_of {
             best_of.must_suit(&*sampler, &request)?;
+            if best_of.by.contains(&SelectBy::Text) {
+                let evaluator = self.evaluator_of(system, trained)?;
+                text_match = TextMatch::of(evaluator, sampler.jobs());
+            }
         }
         for needs in sampler.needs()? {
             must_fit(&needs.work, needs.bytes, needs.hint)?;
@@ -57,6 +66,7 @@ impl Systems<'_> {
             is_one_batch: sampler.is_one_batch(),
             kept,
             selections: vec![Selection::default(); sampler.jobs().len()],
+            text_match,
             paths: Vec::new(),
             bodies: Vec::new(),
         };
@@ -71,6 +81,32 @@ impl Systems<'_> {
                 let lines = run.paths.iter().map(|path| cell(path));
                 Some(Summary::Text(lines.collect::<Vec<_>>().join("\n")))
             }
+        })
+    }
+}
+
+impl Systems<'_> {
+    /// The text-motion evaluator of a model, by which samples are selected.
+    fn evaluator_of(
+        self,
+        system: &dyn System,
+        trained: &TrainedModel,
+    ) -> Result<Rc<dyn TextMotionEvaluator>, Error> {
+        let config = trained.config();
+        let problem = "option `select_by` is `text`";
+        let Some(files) = system.evaluator_files(config) else {
+            let recipe = &config.train.recipe;
+            return Err(Error::usage(
+                format!("{problem}, and models of recipe `{recipe}` have no text-motion evaluator"),
+                "select by another measure",
+            ));
+        };
+        let evaluator = self.text_motion_evaluator(files, &trained.device)?;
+        evaluator.ok_or_else(|| {
+            Error::usage(
+                format!("{problem}, and no text-motion evaluator is configured"),
+                "name a run of recipe `text_motion`: option `set evaluation.evaluator.run=RUN`",
+            )
         })
     }
 }

@@ -2,13 +2,18 @@
 
 use std::path::Path;
 
-use kinegrad_capture::Bvh;
-use kinegrad_matching::Example;
+use kinegrad_capture::{Bvh, UpAxis};
+use kinegrad_matching::{Example, joined};
 use kinegrad_motion::humanml::{Extraction, Features, Joints, Root, Skeleton};
 use kinegrad_motion::{JointFeatures, Representation};
+use kinegrad_settings::counted;
 use kinegrad_train::{Error, Systems};
 
-use crate::io::{BvhReading, CENTIMETRES, MotionArray, as_bvh, has_extension, is_bvh, read_bvh};
+use crate::io::{
+    BvhReading, CENTIMETRES, MotionArray, as_bvh, has_extension, is_bvh, read_figures,
+    unit_and_axis,
+};
+use crate::output::unusable;
 
 /// The representation of a clip.
 #[derive(Clone, Debug)]
@@ -22,6 +27,29 @@ pub struct Motion {
     pub example: Example,
     /// `None` for a BVH file.
     pub clip: Option<Clip>,
+    /// The figures of a file with several; empty for a single one.
+    pub figures: Vec<Bvh>,
+    /// Length of the unit in metres, and the axis that points up.
+    pub unit_and_axis: (f64, UpAxis),
+}
+
+impl Motion {
+    fn figures(&self) -> usize {
+        self.figures.len().max(1)
+    }
+
+    /// Refuses another number of figures than that of the `first` example.
+    pub fn must_have_figures_of(&self, first: &Self) -> Result<(), Error> {
+        let (found, expected) = (self.figures(), first.figures());
+        if found == expected {
+            return Ok(());
+        }
+        let (own, other) = (&self.example.file, &first.example.file);
+        Err(Error::usage(
+            format!("{own} has {}, {other} {expected}", counted(found, "figure")),
+            "motions of one number of figures can be matched",
+        ))
+    }
 }
 
 /// True for the path of a clip.
@@ -29,9 +57,9 @@ pub fn is_clip(path: &Path) -> bool {
     has_extension(path, "npy")
 }
 
-/// Reads a BVH file or a clip. Fails for other files, unreadable files and motions without a
-/// skeleton.
-pub fn read(systems: Systems<'_>, path: &Path) -> Result<Motion, Error> {
+/// Reads a BVH file or a clip. `up`: the axis that points up, if it is known. Fails for other files,
+/// unreadable files and motions without a skeleton.
+pub fn read(systems: Systems<'_>, path: &Path, up: Option<UpAxis>) -> Result<Motion, Error> {
     let file = path.display().to_string();
     if is_clip(path) {
         return read_clip(systems, path, file);
@@ -41,10 +69,17 @@ pub fn read(systems: Systems<'_>, path: &Path) -> Result<Motion, Error> {
         let hint = "examples are motions as BVH, or clips of joint features as .npy";
         return Err(Error::usage(message, hint));
     }
-    let bvh = read_bvh(path)?;
+    let mut figures = read_figures(path)?;
+    let unit_and_axis = unit_and_axis(&figures[0], None, up);
+    let bvh = match figures.len() {
+        1 => figures.remove(0),
+        _ => joined(&figures, unit_and_axis.1).map_err(unusable)?,
+    };
     Ok(Motion {
         example: Example { file, bvh },
         clip: None,
+        figures,
+        unit_and_axis,
     })
 }
 
@@ -61,8 +96,10 @@ fn read_clip(systems: Systems<'_>, path: &Path, file: String) -> Result<Motion, 
         false => Root::Relative,
     };
     Ok(Motion {
+        unit_and_axis: unit_and_axis(&bvh, None, None),
         example: Example { file, bvh },
         clip: Some(Clip { skeleton, root }),
+        figures: Vec::new(),
     })
 }
 

@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use kinegrad_matching::{
-    Adaptation, Made, Measures, Novelty, Preset, Quality, Run, Seam, Settings, Sliding,
+    Adaptation, CommonJoints, Made, Measures, Novelty, Preset, Quality, Run, Seam, Settings,
+    Sliding,
 };
 use kinegrad_output::path_text;
 use kinegrad_settings::counted;
@@ -36,6 +37,9 @@ pub struct Record {
     fps: f64,
     heading: bool,
     parts: Vec<PartRecord>,
+    /// `None` for examples of one skeleton.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    common_joints: Option<CommonJoints>,
     #[serde(skip_serializing_if = "Option::is_none", serialize_with = "path_text")]
     keyframes: Option<PathBuf>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -70,7 +74,12 @@ struct PartRecord {
 
 impl Record {
     /// The record of `made`, of examples in units of so many metres.
-    pub fn new(arguments: &MatchArguments, made: &Made, metres_per_unit: f64) -> Self {
+    pub fn new(
+        arguments: &MatchArguments,
+        made: &Made,
+        common_joints: Option<CommonJoints>,
+        metres_per_unit: f64,
+    ) -> Self {
         let joints = made.layout.joints();
         let as_array = |run: &Run| [run.start, run.example, run.first, run.frames];
         let example_frames = made.examples.iter().map(|example| example.frames());
@@ -98,6 +107,7 @@ impl Record {
             fps: 1.0 / made.layout.frame_time(),
             heading: made.layout.is_relative(),
             parts: parts.collect(),
+            common_joints,
             keyframes: arguments.keyframes.clone(),
             fixed: fixed.collect(),
             sliding: made
@@ -123,11 +133,25 @@ impl Record {
             counted(self.frames, "frame"),
             self.fps
         );
+        if let Some(common) = &self.common_joints {
+            let left_out = common.left_out.iter();
+            let left_out = left_out.map(|(file, joints)| format!("{} of {file}", joints.len()));
+            let left_out: Vec<String> = left_out.collect();
+            tell!(
+                "the skeletons differ: matched on {}, without {}; the record names them",
+                counted(common.joints.len(), "joint"),
+                left_out.join(", ")
+            );
+        }
         if let Some(measures) = &self.measures {
             let global = measures.global_diversity;
             let global = global.map_or_else(String::new, |global| format!(", {global:.3} global"));
+            let novelty = measures.novelty;
+            let novelty = novelty.map_or_else(String::new, |novelty| {
+                format!(", novelty {novelty:.3} (0: a copy, beyond 1: unlike the examples)")
+            });
             tell!(
-                "coverage {:.3} (window cost {:.3}), diversity {:.3} local{global}",
+                "coverage {:.3} (window cost {:.3}), diversity {:.3} local{global}{novelty}",
                 measures.coverage,
                 measures.window_cost,
                 measures.local_diversity
@@ -200,6 +224,13 @@ impl Record {
     pub fn warn(&self) {
         for beyond in self.quality.beyond() {
             tell!("warning: {beyond}");
+        }
+        if let Some(measures) = self.measures.filter(|measures| !measures.plausible) {
+            tell!(
+                "warning: novelty {:.2}: the motion is further from the examples than their parts are \
+                 from each other",
+                measures.novelty.unwrap_or_default()
+            );
         }
     }
 }
