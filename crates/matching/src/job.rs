@@ -91,7 +91,7 @@ pub struct Job {
     pub heading: Heading,
     /// Tries further noise and a higher coherence as long as the motion is beyond the bounds of
     /// [`Quality`](crate::Quality), then locked feet. Jobs with content or fixed parts are not tried
-    /// again, and feet of loops and of motions with key frames are not locked.
+    /// again, and feet of motions with key frames are not locked.
     pub adapts: bool,
     /// Division of the body.
     pub parts: PartChoice,
@@ -100,7 +100,7 @@ pub struct Job {
     /// Fixed parts.
     pub fixed: Vec<Fixed>,
     /// Locks feet where the examples' feet rest. Locking also moves legs of key frames and of fixed
-    /// parts, and the seam of a loop.
+    /// parts.
     pub lock_feet: bool,
 }
 
@@ -272,9 +272,10 @@ impl Job {
         let mut sliding = None;
         // Feet that creep in every attempt are locked if the motion gains by it.
         let strict = reference.quality(&bvh).strict_excess();
-        let creeps = adapts && strict > 1.0 && constraints.is_empty() && !is_loop;
+        let creeps = adapts && strict > 1.0 && constraints.is_empty();
         if self.lock_feet || creeps {
-            let locked = lock_feet(&layout, &bvh, examples, &parts, &synthesis.origins);
+            let (motion, origins) = ((&synthesis.frames, &bvh), &synthesis.origins);
+            let locked = lock_feet(&layout, motion, examples, &parts, origins, is_loop);
             let gains = |locked: &Bvh| reference.quality(locked).strict_excess() < strict;
             match locked {
                 Ok((locked, slid)) if self.lock_feet || gains(&locked) => {
