@@ -251,7 +251,8 @@ impl Job {
                 layout.stay_in_place(&mut frames);
                 let in_place = layout.to_bvh(&frames)?;
                 let toe = |bvh: &Bvh| reference.quality(bvh).motion.toe_speed_while_low;
-                if toe(&in_place) < toe(&bvh) {
+                let strays = reference.strays(&layout.path(&synthesis.frames));
+                if strays || toe(&in_place) < toe(&bvh) {
                     (synthesis.frames, bvh) = (frames, in_place);
                 }
             }
@@ -276,7 +277,10 @@ impl Job {
         if self.lock_feet || creeps {
             let (motion, origins) = ((&synthesis.frames, &bvh), &synthesis.origins);
             let locked = lock_feet(&layout, motion, examples, &parts, origins, is_loop);
-            let gains = |locked: &Bvh| reference.quality(locked).strict_excess() < strict;
+            let seam = |bvh: &Bvh| Seam::of(&layout, bvh).filter(|_| is_loop).map(Seam::jump);
+            let torn = |locked: &Bvh| seam(locked) > seam(&bvh).map(|jump| jump.max(SMOOTH_SEAM));
+            let gains =
+                |locked: &Bvh| reference.quality(locked).strict_excess() < strict && !torn(locked);
             match locked {
                 Ok((locked, slid)) if self.lock_feet || gains(&locked) => {
                     (bvh, sliding) = (locked, Some(slid));

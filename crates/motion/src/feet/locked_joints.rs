@@ -225,6 +225,26 @@ mod tests {
     }
 
     #[test]
+    fn still_feet_do_not_snap() {
+        let skeleton = Skeleton::humanml3d();
+        for slide in [-0.3, -0.15, 0.0, 0.1] {
+            let slid = sliding_walk(&skeleton, slide);
+            let rule = ContactRule::default();
+            let locked = lock_joints(&slid, &slid, &skeleton, &rule, Planted::Still, 0.0).unwrap();
+            let [before, after] = [&slid, &locked.joints].map(|joints| {
+                BodyQuality::of(joints, &skeleton, 0.0)
+                    .jerk_largest
+                    .unwrap()
+            });
+            println!(
+                "{slide}: {before} {after} {} {}",
+                locked.before, locked.after
+            );
+            assert!(after < 1.3 * before, "{slide}: {before} {after}");
+        }
+    }
+
+    #[test]
     fn legs_that_are_too_short_are_stretched_and_reported() {
         // The body slides further than its strides reach.
         let skeleton = Skeleton::humanml3d();
