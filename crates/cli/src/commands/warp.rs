@@ -19,8 +19,8 @@ use serde::Serialize;
 
 use crate::args::WarpArguments;
 use crate::io::{
-    BvhReading, Content, MotionArray, bvh_file, exit_code, is_bvh, must_be_new, read_body, stem,
-    unusable_stem, with_ending, write_all,
+    BvhReading, Content, LEGS_SHORT, MotionArray, bvh_file, exit_code, is_bvh, must_be_new,
+    read_body, stem, unusable_stem, with_ending, write_all,
 };
 use crate::output::unusable;
 use crate::{folder, interrupt, output};
@@ -30,9 +30,6 @@ const MORE_SKATING: f64 = 0.1;
 
 /// Largest speed ratio of a stretched motion: steps that are longer leave the legs' reach.
 const LONGEST_STRIDE: f64 = 1.5;
-
-/// Largest missing leg length that causes no warning, meters.
-const LEGS_SHORT: f64 = 0.02;
 
 /// Advice about a motion that is not usable.
 const ADVICE: &str = "leave out `--sharp`, give a path with wider turns, or a motion without jumps";

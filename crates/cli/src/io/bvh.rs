@@ -24,6 +24,9 @@ pub const CENTIMETRES: f64 = 100.0;
 /// Largest deviation of a BVH file from its motion without a note, meters.
 const EXACT: f64 = 1e-3;
 
+/// Largest distance of a locked foot from its place that causes no warning, meters.
+pub const LEGS_SHORT: f64 = 0.02;
+
 /// True for the name of a BVH file.
 pub fn is_bvh(path: &Path) -> bool {
     has_extension(path, "bvh")
@@ -238,8 +241,10 @@ fn with_locked_feet(
         Planted::Still,
         0.0,
     )?;
-    let missed = Some(locked.missed).filter(|missed| *missed > EXACT);
-    let short = missed.map(|missed| format!("; legs are up to {missed:.3} m too short"));
+    let missed = Some(locked.missed).filter(|missed| *missed > LEGS_SHORT);
+    let short = missed.map(|missed| {
+        format!("; feet slide by up to {missed:.2} m in a contact, because the legs do not reach")
+    });
     let short = short.unwrap_or_default();
     tell!(
         "note: {}: feet stand in {:.0} % of the frames and slid by {:.2} m/s meanwhile, now by {:.2} \
