@@ -1,8 +1,8 @@
-//! Motion arrays: `kinegrad_data::parse_motion`.
+//! Motion arrays and pickled motions: `kinegrad_data::parse_motion` and `MotionFile::parse`.
 
 #![no_main]
 
-use kinegrad_data::parse_motion;
+use kinegrad_data::{MotionFile, parse_motion};
 use kinegrad_fuzz::{MIB, bounded};
 use libfuzzer_sys::fuzz_target;
 
@@ -13,5 +13,10 @@ fuzz_target!(|bytes: &[u8]| {
     if let Ok(motion) = parsed {
         assert!(4 * motion.as_slice().len() <= bytes.len());
         let _ = motion.first_non_finite();
+    }
+    // Of a pickle, each byte may be a value.
+    let parsed = bounded(MIB + 200 * bytes.len(), || MotionFile::parse(bytes, "fuzzed.npy"));
+    if let Ok(MotionFile::Results(results)) = parsed {
+        assert!(4 * results.motion.values.len() <= bytes.len());
     }
 });

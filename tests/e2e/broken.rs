@@ -6,7 +6,7 @@ use std::fs;
 
 use kinegrad_capture::Bvh;
 use kinegrad_data::{motion_path, read_motion, synthetic, write_motion, write_values};
-use kinegrad_motion::humanml::walk::{Course, joints};
+use kinegrad_motion::humanml::walk::{Course, joints, joints_at};
 use kinegrad_motion::humanml::{Extraction, Joints, Skeleton};
 use kinegrad_motion::phrase::{PHASE, POSITION};
 use kinegrad_motion::{Phrase, Quaternion, derive};
@@ -76,11 +76,39 @@ fn turn(frame: &mut [[f64; 3]; 22], angle: f64) {
     }
 }
 
+/// A straight walk whose feet land faster than they lift: time runs fastest at the end of each step.
+fn landing_walk() -> Vec<[[f64; 3]; 22]> {
+    let course = Course {
+        speed: Box::new(|_| 1.1),
+        turning: Box::new(|_| 0.0),
+    };
+    let rate = 4.0 * PI * 0.935;
+    let times: Vec<f64> = (0..FRAMES)
+        .map(|t| t as f64 / 20.0)
+        .map(|time| time + 0.5 * (rate * time + 4.77).sin() / rate)
+        .collect();
+    let places = joints_at(&course, &Skeleton::humanml3d(), 5.0, &times);
+    let (frames, _) = places.as_chunks::<22>();
+    frames.to_vec()
+}
+
 /// Broken walks, each under the name of the check that fails.
 fn broken_bodies() -> Vec<(&'static str, Vec<[[f64; 3]; 22]>)> {
     let statue = walk()[30];
     vec![
         ("good", walk()),
+        ("good.landing", landing_walk()),
+        (
+            "time_direction.in_reverse",
+            landing_walk().into_iter().rev().collect(),
+        ),
+        (
+            "statue.sways",
+            changed(|t, frame| {
+                let by = 0.05 * (0.2 * t as f64).sin();
+                *frame = statue.map(|[x, y, z]| [x + by, y, z]);
+            }),
+        ),
         ("floating", moved(|_| [0.0, 0.4, 0.0])),
         ("floating.high", moved(|_| [0.0, 1.0, 0.0])),
         ("floor", moved(|_| [0.0, -0.2, 0.0])),

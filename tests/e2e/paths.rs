@@ -5,7 +5,7 @@ use std::fs;
 use kinegrad_data::read_array;
 use kinegrad_motion::humanml::{Features, Root, Skeleton};
 use kinegrad_tests::captures::wav;
-use kinegrad_tests::sandbox::{SMALLEST, Sandbox};
+use kinegrad_tests::sandbox::{SMALLEST, SMALLEST_WALKS, Sandbox};
 use serde_json::Value;
 
 use crate::{compose, goals};
@@ -297,4 +297,153 @@ fn phrases_follow_a_path_from_a_file() {
     ] {
         sandbox.run(line).failed(2, &[expected]);
     }
+}
+
+#[test]
+fn tokens_in_other_places_and_guidance_over_the_path_change_the_motion() {
+    let sandbox = compose::sandbox();
+    sandbox.write("quarter.toml", quarter());
+    let base = "train c.toml --set train.max_steps=4 --name";
+    sandbox.run(&format!("{base} plain")).succeeded();
+    let mut found = Vec::new();
+    for tokens in ["added", "concatenated", "rows"] {
+        // An adapter with other tokens, from a network without a path, goes on as it stopped.
+        let line = format!(
+            "train c.toml --name {tokens} --set train.recipe=path_adapter --set \
+             init.diffusion=runs/plain --set model.path_tokens={tokens} --set train.max_steps="
+        );
+        sandbox.run(&format!("{line}6")).succeeded();
+        let parts = line.replace(
+            &format!("--name {tokens} "),
+            &format!("--name {tokens}_parts "),
+        );
+        sandbox.run(&format!("{parts}4")).succeeded();
+        sandbox.run(&format!("{parts}6 --resume")).succeeded();
+        let weights = |run: &str| {
+            let file = format!("runs/{run}/checkpoints/step-00000006/model.safetensors");
+            fs::read(sandbox.path(file)).expect("weights")
+        };
+        assert!(
+            weights(tokens) == weights(&format!("{tokens}_parts")),
+            "{tokens}"
+        );
+        let sample = |set: &str, out: &str| {
+            let line = format!(
+                "sample runs/{tokens} --path quarter.toml --method tokens --frames 24 --out \
+                 {tokens}{out} {set}"
+            );
+            sandbox.run(&line).succeeded();
+            track(&sandbox, &format!("{tokens}{out}.npy"))
+        };
+        let along = sample("", "");
+        let guided = sample("--set evaluation.path.path_guidance_scale=3", "3");
+        assert_ne!(along, guided, "{tokens}");
+        found.push(along);
+    }
+    assert!(found[0] != found[1] && found[1] != found[2] && found[0] != found[2]);
+    for (set, expected) in [
+        (
+            "--set model.path_tokens=rows",
+            "`model.path_tokens` is \"rows\"",
+        ),
+        (
+            "--set evaluation.path.path_guidance_scale=2",
+            "`evaluation.path.path_guidance_scale` is 2",
+        ),
+    ] {
+        sandbox
+            .run(&format!("train c.toml --name no {set}"))
+            .failed(2, &[expected]);
+    }
+}
+
+#[test]
+fn a_motion_model_of_the_mdm_kind_is_conditioned_on_paths() {
+    let sandbox = goals::sandbox();
+    let unet = "kind = \"gmd_unet\"\nlatent_dim = 16\ndim_mults = [1.0, 1.0]\npadded_frames = 20\n";
+    assert!(SMALLEST_WALKS.contains(unet));
+    let mdm = "kind = \"mdm_transformer\"\nsize = \"mdm_tiny\"\n";
+    sandbox.write("motion.toml", SMALLEST_WALKS.replace(unet, mdm));
+    sandbox.write("quarter.toml", quarter());
+    let mut tracks = Vec::new();
+    for tokens in ["added", "rows"] {
+        let line = format!(
+            "train motion.toml --name {tokens} --set model.path=true --set \
+             model.path_tokens={tokens} --set paths.drop_prob=0.3 --set train.max_steps=6"
+        );
+        sandbox.run(&line).succeeded();
+        let sample = |set: &str| {
+            let line = format!(
+                "sample runs/{tokens} --path quarter.toml --frames 16 --out out --overwrite --set \
+                 steering.scale=0 --set steering.imputation=false {set}"
+            );
+            sandbox.run(&line).succeeded();
+            track(&sandbox, "out.npy")
+        };
+        let along = sample("");
+        let without = sample("--set steering.path_guidance_scale=0");
+        let twice = sample("--set steering.path_guidance_scale=2");
+        assert!(along != without && along != twice, "{tokens}");
+        tracks.push(along);
+    }
+    assert_ne!(tracks[0], tracks[1]);
+    sandbox
+        .run("train motion.toml --name no --set steering.path_guidance_scale=2")
+        .failed(2, &["`steering.path_guidance_scale` is 2"]);
+}
+
+#[test]
+fn clips_at_another_rate_keep_it_from_training_to_the_page() {
+    let sandbox = compose::sandbox();
+    sandbox
+        .run("train c.toml --name babel --set data.humanml3d.fps=30 --set train.max_steps=4")
+        .succeeded();
+    sandbox
+        .run("train c.toml --name usual --set train.max_steps=4")
+        .succeeded();
+    // A second has 30 frames, and a path at 1 m/s has steps of 1/30 m.
+    sandbox.write(
+        "line.toml",
+        "points = [[0, 0], [0, 9]]\ncurve = 'line'\nspeed = 1\n",
+    );
+    let step = |run: &str, frames: usize| {
+        let line =
+            format!("sample runs/{run} --seconds 1 --path line.toml --method override --out {run}");
+        sandbox.run(&line).succeeded();
+        let track = track(&sandbox, &format!("{run}.npy"));
+        assert_eq!(track.len(), frames);
+        (track[9][1] - track[8][1]).abs()
+    };
+    assert!((step("babel", 30) - 1.0 / 30.0).abs() < 1e-3);
+    assert!((step("usual", 20) - 1.0 / 20.0).abs() < 1e-3);
+    assert_eq!(record(&sandbox, "babel.json")["fps"], 30.0);
+    // The page plays at the rate of the record, also features; an option has the last word.
+    let rate = |line: &str| {
+        sandbox
+            .run(&format!("view {line} --out page.html --overwrite"))
+            .succeeded();
+        let page = fs::read_to_string(sandbox.path("page.html")).expect("a page");
+        let at = page.find("\"fps\":").expect("a rate") + 6;
+        let end = at + page[at..].find([',', '}']).expect("an end");
+        page[at..end].parse::<f64>().expect("a number")
+    };
+    assert_eq!(rate("babel.npy"), 30.0);
+    assert_eq!(rate("babel.features.npy"), 30.0);
+    assert_eq!(rate("usual.npy"), 20.0);
+    assert_eq!(rate("usual.npy --fps 25"), 25.0);
+    // Measures: the same positions are 1.5 times as fast at 30 frames per second.
+    fs::copy(sandbox.path("usual.npy"), sandbox.path("alone.npy")).expect("copied");
+    let speed = |fps: &str| {
+        let line = format!(
+            "warp alone.npy --path line.toml --along own --json --allow-unusable --overwrite --out moved {fps}"
+        );
+        let said = sandbox.run(&line).succeeded();
+        let found: Value = serde_json::from_str(&said.stdout).expect("JSON");
+        found["before"]["jerk"].as_f64().expect("a number")
+    };
+    let ratio = speed("--fps 30") / speed("--fps 20");
+    assert!((ratio / 1.5f64.powi(3) - 1.0).abs() < 1e-6, "{ratio}");
+    sandbox
+        .run("train c.toml --name no --set data.humanml3d.fps=0")
+        .failed(2, &["`data.humanml3d.fps` is 0"]);
 }

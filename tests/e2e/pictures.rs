@@ -125,3 +125,46 @@ fn joints_of_any_skeleton_and_captures_are_plotted_and_not_checked() {
     let said = sandbox.run("check walk.bvh").succeeded();
     assert!(said.stdout.contains("fastest_joint"), "{}", said.stdout);
 }
+
+#[test]
+fn schedules_of_configs_and_runs_are_plotted() {
+    let sandbox = sandbox();
+    let config = |name: &str, kind: &str| {
+        let text = format!(
+            "[run]\nname = \"{name}\"\n[train]\nrecipe = \"gmd_trajectory\"\n\
+             [data]\nkind = \"synthetic_walks\"\n[diffusion]\nbeta_schedule = \"{kind}\"\n"
+        );
+        sandbox.write(&format!("{name}.toml"), text);
+    };
+    config("one", "cosine");
+    config("two", "linear");
+    let line = "plot --schedule one.toml two.toml runs/smallest --out schedule.svg";
+    sandbox.run(line).succeeded();
+    let picture = fs::read_to_string(sandbox.path("schedule.svg")).expect("a picture");
+    for name in ["one", "two", "smallest"] {
+        let titles = [
+            format!("{name}: factors in x_t"),
+            format!("{name}: share of the output in a step"),
+        ];
+        holds(&picture, &titles.each_ref().map(String::as_str));
+    }
+    holds(&picture, &["epsilon", "sample", "timestep"]);
+    // Another schedule has other curves.
+    let alone = |name: &str| {
+        let line = format!("plot --schedule {name}.toml --out {name}.svg");
+        sandbox.run(&line).succeeded();
+        let picture = fs::read_to_string(sandbox.path(format!("{name}.svg"))).expect("a picture");
+        picture.replace(&format!("{name}: "), "")
+    };
+    assert_ne!(alone("one"), alone("two"));
+    sandbox.write(
+        "flow.toml",
+        "[train]\nrecipe = \"flow\"\n[data]\nkind = \"synthetic_walks\"\n",
+    );
+    sandbox
+        .run("plot --schedule flow.toml --out flow.svg")
+        .failed(2, &["flow.toml has no diffusion process"]);
+    sandbox
+        .run("plot --schedule body.npy --out q.svg")
+        .failed(2, &["body.npy"]);
+}

@@ -69,6 +69,51 @@ fn a_dry_run_states_the_memory_that_a_training_takes() {
 }
 
 #[test]
+#[cfg(target_os = "linux")]
+fn activation_checkpointing_takes_less_memory_and_changes_no_bit() {
+    let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
+    sandbox.write("c.toml", SMALLEST);
+    sandbox.write("w.toml", SMALLEST_WALKS);
+    for (name, train) in [
+        (
+            "phrases",
+            "train c.toml --set model.model_channels=64 --set data.target_frames=64 \
+             --set data.batch_size=32 --set data.synthetic.phrases=64",
+        ),
+        (
+            "walks",
+            "train w.toml --set data.batch_size=32 --set model.latent_dim=128",
+        ),
+    ] {
+        let taken = ["stored", "recomputed"].map(|kind| {
+            let train = format!(
+                "{train} --name {name}-{kind} --set train.max_steps=3 \
+                 --set sampling.count_at_end=0 --set validation.every_steps=0 \
+                 --set model.activation_checkpointing={}",
+                kind == "recomputed"
+            );
+            let planned = plan(&sandbox, &train)["memory_bytes"].as_u64();
+            let taken = most_memory(&sandbox, &train);
+            let share = planned.expect("a size") as f64 / taken as f64;
+            assert!((share - 1.0).abs() < 0.15, "{name}-{kind}: {share}");
+            taken
+        });
+        let share = taken[1] as f64 / taken[0] as f64;
+        assert!(
+            share < 0.8,
+            "{name}: {} and {} KiB",
+            taken[0] >> 10,
+            taken[1] >> 10
+        );
+        let weights = |kind: &str| {
+            let checkpoint = format!("runs/{name}-{kind}/checkpoints/step-00000003");
+            std::fs::read(sandbox.path(&checkpoint).join("model.safetensors")).expect("weights")
+        };
+        assert!(weights("stored") == weights("recomputed"), "{name}");
+    }
+}
+
+#[test]
 fn a_dry_run_counts_validations() {
     let sandbox = Sandbox::new(env!("CARGO_BIN_EXE_kinegrad"));
     sandbox.write("c.toml", SMALLEST);

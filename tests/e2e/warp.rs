@@ -41,6 +41,12 @@ fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
     (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f32>().sqrt()
 }
 
+/// Two motions of two joints, as the programs of MDM save them.
+const RESULTS: &str = concat!(
+    env!("CARGO_MANIFEST_DIR"),
+    "/../crates/data/src/npy/results/protocol4.npy"
+);
+
 /// Ends of some bones: thighs, shins, spine, upper arms.
 const BONES: [[usize; 2]; 6] = [[1, 4], [4, 7], [2, 5], [5, 8], [0, 3], [16, 18]];
 
@@ -233,6 +239,92 @@ fn locked_feet_stay_on_the_floor_and_catch_up_in_their_own_time() {
 }
 
 #[test]
+fn motion_idles_at_the_end_of_a_short_path_and_obeys_its_speed() {
+    let sandbox = sandbox();
+    sandbox.write(
+        "short.toml",
+        "points = [[0, 0], [0, 0.6]]\ncurve = 'line'\n",
+    );
+    sandbox.write(
+        "slow.toml",
+        "points = [[0, 0], [0, 9]]\ncurve = 'line'\nspeed = 0.5\n",
+    );
+    let count = source(&sandbox).frames();
+    let end = |name: &str| {
+        let all = frames(&sandbox, name);
+        assert_eq!(all.len(), count, "{name}");
+        all[count - 1][0][2]
+    };
+    let line = "warp walk.features.npy --path short.toml --along own --out idle";
+    let said = sandbox.run(line).succeeded();
+    assert!(
+        said.stderr.contains("0.60 m, and stands there from frame"),
+        "{}",
+        said.stderr
+    );
+    assert!((end("idle.npy") - 0.6).abs() < 0.01);
+    let all = frames(&sandbox, "idle.npy");
+    let apart = all[count - 10].iter().zip(&all[count - 1]);
+    assert!(apart.map(|(a, b)| distance(*a, *b)).fold(0.0, f32::max) < 1e-6);
+    sandbox.run("check idle.npy idle.features.npy").succeeded();
+    let line = "warp walk.features.npy --path slow.toml --out slow";
+    sandbox.run(line).succeeded();
+    let seconds = (count - 1) as f32 / 20.0;
+    assert!((end("slow.npy") / (0.5 * seconds) - 1.0).abs() < 1e-3);
+    sandbox.write(
+        "fast.toml",
+        "points = [[0, 0], [0, 9]]\ncurve = 'line'\nspeed = 9\n",
+    );
+    let line = "warp walk.features.npy --path fast.toml --out fast";
+    sandbox
+        .run(line)
+        .failed(2, &["`speed` is 9.00 m/s", "set `speed` to at most"]);
+    let said = sandbox.run(&format!("{line} --along own")).succeeded();
+    assert!(
+        said.stderr.contains("`speed` is ignored"),
+        "{}",
+        said.stderr
+    );
+}
+
+#[test]
+fn joints_with_the_frames_last_are_read() {
+    let sandbox = sandbox();
+    sandbox
+        .run("warp walk.features.npy --path line.toml --out there")
+        .succeeded();
+    let walked = frames(&sandbox, "there.npy");
+    let mut last = Vec::new();
+    for joint in 0..22 {
+        for axis in 0..3 {
+            last.extend(walked.iter().map(|frame| frame[joint][axis]));
+        }
+    }
+    let both = [vec![0.5; last.len()], last.clone()].concat();
+    let count = walked.len();
+    write_values(&sandbox.path("last.npy"), &[22, 3, count], &last).expect("written");
+    write_values(&sandbox.path("both.npy"), &[2, 22, 3, count], &both).expect("written");
+    for (file, out) in [
+        ("there.npy", "a"),
+        ("last.npy", "b"),
+        ("both.npy --index 1", "c"),
+    ] {
+        sandbox
+            .run(&format!(
+                "warp {file} --path corner.csv --along own --out {out}"
+            ))
+            .succeeded();
+        assert_eq!(
+            frames(&sandbox, &format!("{out}.npy")),
+            frames(&sandbox, "a.npy")
+        );
+    }
+    fs::copy(RESULTS, sandbox.path("results.npy")).expect("copied");
+    let said = sandbox.run("view results.npy --out page.html").succeeded();
+    assert!(said.stderr.contains("has 2 motions"), "{}", said.stderr);
+}
+
+#[test]
 fn what_cannot_be_warped_is_refused_and_nothing_is_written() {
     let sandbox = sandbox();
     sandbox.write("one.toml", "points = [[0, 0]]\n");
@@ -244,7 +336,8 @@ fn what_cannot_be_warped_is_refused_and_nothing_is_written() {
     pickled.extend((header.len() as u16).to_le_bytes());
     pickled.extend(header.as_bytes());
     pickled.extend([0x80, 4, 0x95]);
-    sandbox.write("results.npy", pickled);
+    sandbox.write("cut.npy", pickled);
+    fs::copy(RESULTS, sandbox.path("results.npy")).expect("copied");
     for (arguments, expected) in [
         (
             "walk.features.npy --path one.toml",
@@ -256,7 +349,16 @@ fn what_cannot_be_warped_is_refused_and_nothing_is_written() {
         ),
         ("walk.features.npy --path nowhere.toml", "nowhere.toml"),
         ("walk.features.npy --path circle.svg", "--metres-per-unit"),
-        ("results.npy --path line.toml", "allow_pickle=True"),
+        ("cut.npy --path line.toml", "its pickle is cut off"),
+        ("results.npy --path line.toml", "[5, 2, 3]"),
+        (
+            "results.npy --index 2 --path line.toml",
+            "`index 2`, and results.npy has 2 motions",
+        ),
+        (
+            "walk.features.npy --index 1 --path line.toml",
+            "walk.features.npy has one motion",
+        ),
         ("single.npy --path line.toml", "single frame"),
         ("phrase.npy --path line.toml", "has no body"),
     ] {

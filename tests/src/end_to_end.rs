@@ -95,6 +95,7 @@ impl Case {
             start: RolloutStart::Noise,
             start_timesteps: [last, last],
             clip: ClipSample::None,
+            clip_range: None,
             straight_through: false,
             gradient_decay: 1.0,
             guidance_scale: 1.0,

@@ -46,7 +46,7 @@ impl Frames {
         }
     }
 
-    /// The use of the next frame. Frames of a following file are not trimmed.
+    /// Decides what happens to the next frame. Frames of a following file are not trimmed.
     pub fn next(&mut self, packet: &mut Packet) -> Frame {
         let Some(header) = packet.data.first_chunk().copied().map(u32::from_be_bytes) else {
             return Frame::Drop;

@@ -153,7 +153,8 @@ impl Run {
     /// Total steps; `None` for imported or merged weights.
     pub fn max_steps(&self) -> Option<u64> {
         let config = self.config.as_ref()?;
-        (self.status != RunStatus::Weights).then_some(config.train.max_steps)
+        let state = self.newest.as_ref().map(|(_, state)| state);
+        (self.status != RunStatus::Weights).then(|| total_steps(config, state))?
     }
 }
 
@@ -203,9 +204,18 @@ fn joined(problems: impl Iterator<Item = String>) -> Option<String> {
     (!problems.is_empty()).then(|| problems.join("; "))
 }
 
+/// Steps of a run in total; `None` for a number of epochs before the first checkpoint.
+fn total_steps(config: &Config, state: Option<&State>) -> Option<u64> {
+    let of_epoch = match config.train.epochs {
+        None => 1,
+        Some(_) => state?.steps_per_epoch?,
+    };
+    Some(config.length(of_epoch).max_steps)
+}
+
 fn ended(state: &State, config: &Config) -> RunStatus {
     let patience = config.train.patience;
-    if state.step >= config.train.max_steps {
+    if total_steps(config, Some(state)).is_some_and(|all| state.step >= all) {
         RunStatus::Finished
     } else if patience > 0 && state.progress.validations_since_best >= patience {
         RunStatus::StoppedEarly

@@ -17,7 +17,7 @@ use kinegrad_report::scene::{Curves, Floor, Hierarchy, Scene, SceneObject};
 use kinegrad_train::clips::read_goal;
 use kinegrad_train::{Error, Systems};
 
-use crate::args::ReadingArguments;
+use crate::args::BvhArguments;
 use crate::io::{
     BvhReading, CENTIMETRES, Capture, Motion, bvh_file, file_stem, is_bvh, motion_files,
     names as joint_names, not_finite, with_raw,
@@ -35,8 +35,6 @@ const MOST_FIGURES: usize = 16;
 pub struct Reading {
     /// Unit and vertical of BVH files.
     pub bvh: BvhReading,
-    /// Frames per second of joint positions whose skeleton is unknown.
-    pub fps: f64,
     /// Title; the names of the motions if absent.
     pub title: Option<String>,
     /// Goal on the floor.
@@ -47,10 +45,9 @@ pub struct Reading {
 
 impl Reading {
     /// The reading options of the command line.
-    pub fn of(arguments: &ReadingArguments) -> Self {
+    pub fn of(arguments: &BvhArguments) -> Self {
         Self {
-            bvh: BvhReading::of(&arguments.bvh),
-            fps: arguments.fps,
+            bvh: BvhReading::of(arguments),
             ..Self::default()
         }
     }
@@ -153,20 +150,20 @@ fn figures_of(
             true => format!("{name} {}", index + 1),
             false => name.clone(),
         };
-        of_motion(motion, name, reading.fps)
+        of_motion(motion, name)
     });
     let mut figures: Vec<SceneObject> = figures.collect::<Result<_, _>>()?;
     figures[0].origins = origins::beside(path, figures[0].frames());
     Ok(figures)
 }
 
-/// The figure of a motion; points move at `fps`.
-pub fn of_motion(motion: &Motion, name: String, fps: f64) -> Result<SceneObject, Error> {
+/// The figure of a motion.
+pub fn of_motion(motion: &Motion, name: String) -> Result<SceneObject, Error> {
     match motion {
         Motion::Array(array) => {
             of(&*array.representation, &array.values, name).ok_or_else(|| not_finite(&array.path))
         }
-        Motion::Points(joints, _) => points(joints, name, fps),
+        Motion::Points(joints, fps, _) => Ok(points(joints, name, *fps)),
         Motion::Bvh(capture) => {
             let joints = capture.bvh.joints().iter();
             let parents = joints.map(|joint| joint.parent).collect();
@@ -225,7 +222,7 @@ pub fn bvh_text(
     }
     let array = match Motion::read(systems, path, reading)? {
         Motion::Array(array) => array,
-        Motion::Points(_, error) => return Err(error),
+        Motion::Points(_, _, error) => return Err(error),
         Motion::Bvh(_) => unreachable!("BVH files end in .bvh"),
     };
     if array.representation.name() == Phrases.name() {
@@ -300,17 +297,11 @@ fn orientations(rows: &[f32]) -> Vec<[f32; 4]> {
 }
 
 /// Joints of an unknown skeleton.
-fn points(places: &Joints, name: String, fps: f64) -> Result<SceneObject, Error> {
-    if !(fps.is_finite() && fps > 0.0) {
-        return Err(Error::usage(
-            format!("`--fps` is {fps}"),
-            "frames per second are a positive number, such as 30",
-        ));
-    }
+fn points(places: &Joints, name: String, fps: f64) -> SceneObject {
     let joints = places.joints();
     let joint_names = (0..joints).map(|joint| format!("joint_{joint}")).collect();
     let parents = vec![None; joints];
-    Ok(body(name, fps, places, joint_names, parents, Some(&[])))
+    body(name, fps, places, joint_names, parents, Some(&[]))
 }
 
 /// A goal on the floor.

@@ -120,6 +120,11 @@ impl DataKind {
     pub fn is_clips(self) -> bool {
         matches!(self, Self::Humanml3d | Self::SyntheticWalks)
     }
+
+    /// True for datasets that are read from `source`.
+    pub fn has_source(self) -> bool {
+        matches!(self, Self::Phrases | Self::Humanml3d)
+    }
 }
 
 impl fmt::Display for DataKind {
@@ -325,7 +330,7 @@ impl DataConfig {
             .hint("0 loads in the trainer's own thread; the batches are the same for any number")?;
         in_range("data.num_phrases", self.num_phrases.unwrap_or(1), 1..)
             .hint("leave the key out to use every phrase")?;
-        if matches!(self.kind, DataKind::Phrases | DataKind::Humanml3d) {
+        if self.kind.has_source() {
             let allowed = "a folder, file://, gs://, s3://, http:// or https:// URI";
             let missing = || InvalidSetting::new("data.source", "(nothing)", allowed);
             let source = self.source.as_deref().ok_or_else(missing).hint(

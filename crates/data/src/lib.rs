@@ -92,8 +92,8 @@ pub use loader::{BatchShare, Loader, Samples};
 pub use magnitude::LARGEST;
 pub use manifest::Songs;
 pub use npy::{
-    Array, motion_bytes, parse as parse_array, parse_motion, read_array, read_motion, write_motion,
-    write_values,
+    Array, MotionFile, Results, motion_bytes, parse as parse_array, parse_motion, read_array,
+    read_motion, write_motion, write_values,
 };
 pub use npz::{features_bytes, parse_arrays, parse_features, write_features, write_song_features};
 pub use pattern::matches;

@@ -8,8 +8,11 @@ use crate::file::read_file;
 use crate::{Error, FileError, atomic};
 
 mod header;
+mod pickle;
+mod results;
 
-use header::MAX_HEADER_BYTES;
+use header::{Dtype, MAX_HEADER_BYTES};
+pub use results::{MotionFile, Results};
 
 /// Hint for a truncated file.
 pub(crate) const CUT_OFF: &str = "the file is damaged or was cut off: copy or export it again";
@@ -102,7 +105,17 @@ pub(crate) fn parse_onto(
     file: &str,
 ) -> Result<Vec<usize>, FileError> {
     let header = header::read(bytes, file)?;
-    let (shape, double) = (header.shape, header.double);
+    let shape = header.shape;
+    let double = match header.dtype {
+        Dtype::Single => false,
+        Dtype::Double => true,
+        Dtype::Objects => {
+            let problem = "dtype '|O' found: Python objects, not numbers";
+            let hint = "`kinegrad warp`, `view` and `check` read the results.npy of MDM and FlowMDM; store \
+                        others with numpy.save(path, array.astype(\"<f4\"))";
+            return Err(FileError::unusable(file, problem, hint));
+        }
+    };
     let data = &bytes[header.data_start..];
     let needed = header.length.saturating_mul(if double { 8 } else { 4 });
     if data.len() as u64 != needed {
@@ -111,15 +124,25 @@ pub(crate) fn parse_onto(
             format!("{found} bytes of data found, {needed} needed for its shape and dtype");
         return Err(FileError::unusable(file, problem, CUT_OFF));
     }
-    match (header.fortran_order, &shape[..]) {
-        (true, [_, _, ..]) if header.length > 0 => {
-            let mut stored = Vec::new();
-            decode(&mut stored, data, double);
-            values.extend(column_major(&shape).take(stored.len()).map(|at| stored[at]));
-        }
-        _ => decode(values, data, double),
+    if header.fortran_order && shape.len() > 1 {
+        let mut stored = Vec::new();
+        decode(&mut stored, data, double);
+        values.extend(in_c_order(stored, &shape, true));
+    } else {
+        decode(values, data, double);
     }
     Ok(shape)
+}
+
+/// The elements of an array in C order.
+fn in_c_order(stored: Vec<f32>, shape: &[usize], fortran_order: bool) -> Vec<f32> {
+    match fortran_order && shape.len() > 1 && !stored.is_empty() {
+        true => {
+            let places = column_major(shape).take(stored.len());
+            places.map(|at| stored[at]).collect()
+        }
+        false => stored,
+    }
 }
 
 /// Indices in Fortran order of the elements of an array in C order, over and over.

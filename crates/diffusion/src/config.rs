@@ -80,6 +80,10 @@ pub struct DiffusionConfig {
     /// this. Sampling needs `trailing` or `linspace` spacing, because `leading` never visits the
     /// last timestep.
     pub rescale_betas_zero_snr: bool,
+    /// Give the network the timesteps as `1000 t / num_train_timesteps`, so that their range does
+    /// not depend on `num_train_timesteps`. With 1000 timesteps, this changes nothing. For networks
+    /// of phrases.
+    pub rescale_timesteps: bool,
     /// Probability of replacing the condition by the null condition in training, for
     /// classifier-free guidance (Ho and Salimans 2022, <https://arxiv.org/abs/2207.12598>).
     pub cond_drop_prob: f64,
@@ -103,11 +107,15 @@ impl Default for DiffusionConfig {
             loss_type: LossType::default(),
             snr_gamma: None,
             rescale_betas_zero_snr: false,
+            rescale_timesteps: false,
             cond_drop_prob: 0.1,
             style_drop_prob: None,
         }
     }
 }
+
+/// Number of timesteps to which `rescale_timesteps` rescales.
+const RESCALED_TIMESTEPS: f64 = 1000.0;
 
 /// Largest number of timesteps.
 const MAX_TRAIN_TIMESTEPS: usize = 1_000_000;
@@ -184,6 +192,24 @@ impl DiffusionConfig {
     pub fn style_drop_prob(&self) -> f64 {
         let same = self.cond_drop_prob.min(MAX_STYLE_DROP);
         self.style_drop_prob.unwrap_or(same)
+    }
+
+    /// The factor of the timesteps that the network gets.
+    pub fn timestep_scale(&self) -> f64 {
+        match self.rescale_timesteps {
+            true => RESCALED_TIMESTEPS / self.num_train_timesteps as f64,
+            false => 1.0,
+        }
+    }
+
+    /// Rejects `rescale_timesteps`, for systems whose networks get timesteps as they are.
+    ///
+    /// # Errors
+    /// If it is set.
+    pub fn must_not_rescale_timesteps(&self) -> Result<(), InvalidSetting> {
+        let key = "diffusion.rescale_timesteps";
+        require(!self.rescale_timesteps, key, true, "false for this recipe")
+            .hint("only networks of phrases take rescaled timesteps: leave the key out")
     }
 
     /// The betas, one per timestep, before any rescaling.
@@ -266,6 +292,18 @@ mod tests {
         };
         let text = serde_json::to_string(&config).unwrap();
         assert_eq!(parse(&text).unwrap(), config);
+    }
+
+    #[test]
+    fn rescaled_timesteps_have_the_range_of_1000_timesteps() {
+        let scale = |json: &str| parse(json).unwrap().timestep_scale();
+        assert_eq!(scale("{}"), 1.0);
+        assert_eq!(scale(r#"{"num_train_timesteps": 250}"#), 1.0);
+        assert_eq!(
+            scale(r#"{"num_train_timesteps": 250, "rescale_timesteps": true}"#),
+            4.0
+        );
+        assert_eq!(scale(r#"{"rescale_timesteps": true}"#), 1.0);
     }
 
     #[test]

@@ -51,11 +51,11 @@ pub use loss::diffusion_loss;
 pub use process::GaussianDiffusion;
 pub use rollout::{Rollout, RolloutMode, RolloutOutput, Trace, rollout_timesteps};
 pub use sampler::{
-    ClipRange, Ddim, Dopri5, FinalAlpha, FixedNoise, Imputation, NoiseKeys, OnStep, Predict,
+    ClipRange, Ddim, Ddpm, Dopri5, FinalAlpha, FixedNoise, Imputation, NoiseKeys, OnStep, Predict,
     Prediction, SamplerConfig, SamplerKind, Space, Steered, TimestepPath, TimestepSpacing,
-    Timesteps, ddim, ddim_step, ddpm, ddpm_step, dpmpp_2m, heun, must_suit, must_suit_flow,
-    noise_of_parts, sample, sample_with, timesteps,
+    Timesteps, VarianceType, ddim, ddim_step, ddpm, ddpm_step, dpmpp_2m, heun, must_suit,
+    must_suit_flow, noise_of_parts, sample, sample_with, timesteps,
 };
-pub use schedule::NoiseSchedule;
+pub use schedule::{NoiseSchedule, OutputShares};
 pub use steering::{Guidance, Networks, Objective, Steering, steered_prediction, steered_sample};
 pub use time::Time;

@@ -46,7 +46,37 @@ pub struct NoiseSchedule {
     pub posterior_variance: Vec<f64>,
 }
 
+/// Shares of a network's output in the mean of a DDPM step, over the timesteps (Guided Motion
+/// Diffusion, appendix A, figure A.1; docs/sources.md, section 4.5).
+#[derive(Clone, Debug, PartialEq)]
+pub struct OutputShares {
+    /// Of a network that predicts the clean motion: `a / (a + b)` of the mean `a x_0 + b x_t`.
+    pub sample: Vec<f64>,
+    /// Of a network that predicts the noise: `d / (c + d)` of the mean `c x_t - d epsilon`.
+    pub epsilon: Vec<f64>,
+}
+
 impl NoiseSchedule {
+    /// The shares of a network's output in the mean of each step, with `a` and `b` the coefficients
+    /// of the posterior mean, and
+    ///
+    /// ```text
+    /// c = a / sqrt(abar) + b      d = a sqrt(1 - abar) / sqrt(abar)
+    /// ```
+    pub fn output_shares(&self) -> OutputShares {
+        let (a, b) = (&self.posterior_mean_coef1, &self.posterior_mean_coef2);
+        let timesteps = 0..self.num_train_timesteps();
+        // Multiplied by sqrt(abar), which may be 0 at the last timestep.
+        let epsilon = |t: usize| {
+            let d = a[t] * self.sqrt_one_minus_alphas_cumprod[t];
+            d / (a[t] + b[t] * self.sqrt_alphas_cumprod[t] + d)
+        };
+        OutputShares {
+            sample: timesteps.clone().map(|t| a[t] / (a[t] + b[t])).collect(),
+            epsilon: timesteps.map(epsilon).collect(),
+        }
+    }
+
     /// The tables of `config`.
     ///
     /// # Errors
@@ -146,6 +176,47 @@ mod tests {
     use super::*;
     use crate::BetaSchedule;
     use crate::PredictionType;
+
+    #[test]
+    fn a_clean_motion_decides_the_end_of_sampling_and_noise_its_beginning() {
+        let config = DiffusionConfig {
+            beta_schedule: BetaSchedule::Cosine,
+            beta_min: 0.0,
+            beta_max: 0.999,
+            ..DiffusionConfig::default()
+        };
+        let schedule = NoiseSchedule::new(&config).unwrap();
+        let OutputShares { sample, epsilon } = schedule.output_shares();
+        assert_eq!(sample[0], 1.0);
+        assert!(
+            sample[1..]
+                .windows(2)
+                .all(|pair| pair[1] < pair[0] || pair[0] < 0.05)
+        );
+        assert!(epsilon[0] < 0.1 && epsilon[999] > 0.45);
+        // The coefficients of equation 2.
+        for t in [1, 500, 998] {
+            let (a, b) = (
+                schedule.posterior_mean_coef1[t],
+                schedule.posterior_mean_coef2[t],
+            );
+            let root = schedule.alphas_cumprod[t].sqrt();
+            let (c, d) = (a / root + b, a * (1.0 - root * root).sqrt() / root);
+            assert!((epsilon[t] / (d / (c + d)) - 1.0).abs() < 1e-6, "{t}");
+        }
+        let zero = DiffusionConfig {
+            rescale_betas_zero_snr: true,
+            prediction_type: PredictionType::Sample,
+            ..config
+        };
+        let shares = NoiseSchedule::new(&zero).unwrap().output_shares();
+        assert!(
+            shares
+                .epsilon
+                .iter()
+                .all(|share| (0.0..=1.0).contains(share))
+        );
+    }
 
     fn any_schedule() -> impl Strategy<Value = BetaSchedule> {
         prop_oneof![

@@ -4,7 +4,7 @@ use burn::backend::autodiff::NodeId;
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::autodiff::grads::Gradients;
-use burn::backend::autodiff::ops::{Backward, NodeGuard, Ops, OpsKind, unary};
+use burn::backend::autodiff::ops::{Backward, Ops, unary};
 use burn::backend::flex::FlexTensor;
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Flex};
@@ -20,19 +20,7 @@ use crate::host::layer_norm::LayerNormRows;
 use crate::host::norm::{self, GroupNormPlan};
 use crate::host::recurrence::GruPlan;
 use crate::linear_map::SharedMap;
-
-/// The output of an operation with the state of its backward pass.
-fn record<C: CheckpointStrategy, B: Backward<Flex, N>, const N: usize>(
-    operation: B,
-    nodes: [NodeGuard; N],
-    state: B::State,
-    output: FlexTensor,
-) -> FloatTensor<Autodiff<Flex, C>> {
-    match operation.prepare::<C>(nodes).compute_bound().stateful() {
-        OpsKind::Tracked(prep) => prep.finish(state, output),
-        OpsKind::UnTracked(prep) => prep.finish(output),
-    }
-}
+use crate::recording::{Inputs, Saved, checkpoints};
 
 /// Registers the gradients of the tracked parents.
 fn register<const N: usize>(
@@ -53,14 +41,21 @@ struct Convolution;
 impl Backward<Flex, 7> for Convolution {
     /// Input and weight, and the normalization of the input.
     type State = (
-        [FlexTensor; 2],
+        Saved,
+        FlexTensor,
         Option<MeasuredNorm>,
         ConvolutionPlan,
         Options,
     );
 
-    fn backward(self, ops: Ops<Self::State, 7>, gradients: &mut Gradients, _: &mut Checkpointer) {
-        let ([x, weight], norm, plan, options) = ops.state;
+    fn backward(
+        self,
+        ops: Ops<Self::State, 7>,
+        gradients: &mut Gradients,
+        checkpointer: &mut Checkpointer,
+    ) {
+        let (x, weight, norm, plan, options) = ops.state;
+        let x = x.tensor(checkpointer);
         let parents = ops.parents.map(|node| node.map(|node| node.id));
         let [of_x, of_weight, of_bias, _, of_norm @ ..] = parents.map(|parent| parent.is_some());
         let gradient = gradients.consume::<Flex>(&ops.node);
@@ -100,10 +95,16 @@ impl Backward<Flex, 7> for Convolution {
 struct GroupNorm;
 
 impl Backward<Flex, 4> for GroupNorm {
-    type State = (FlexTensor, MeasuredNorm, Options);
+    type State = (Saved, MeasuredNorm, Options);
 
-    fn backward(self, ops: Ops<Self::State, 4>, gradients: &mut Gradients, _: &mut Checkpointer) {
+    fn backward(
+        self,
+        ops: Ops<Self::State, 4>,
+        gradients: &mut Gradients,
+        checkpointer: &mut Checkpointer,
+    ) {
         let (x, norm, options) = ops.state;
+        let x = x.tensor(checkpointer);
         let parents = ops.parents.map(|node| node.map(|node| node.id));
         let gradient = HostRows::of(gradients.consume::<Flex>(&ops.node));
         let x = HostRows::of(x);
@@ -121,10 +122,16 @@ struct LayerNorm;
 
 impl Backward<Flex, 3> for LayerNorm {
     /// Rows, scales and eps.
-    type State = (FlexTensor, FlexTensor, f64);
+    type State = (Saved, FlexTensor, f64);
 
-    fn backward(self, ops: Ops<Self::State, 3>, gradients: &mut Gradients, _: &mut Checkpointer) {
+    fn backward(
+        self,
+        ops: Ops<Self::State, 3>,
+        gradients: &mut Gradients,
+        checkpointer: &mut Checkpointer,
+    ) {
         let (x, weight, eps) = ops.state;
+        let x = x.tensor(checkpointer);
         let parents = ops.parents.map(|node| node.map(|node| node.id));
         let gradient = gradients.consume::<Flex>(&ops.node);
         let rows = LayerNormRows {
@@ -143,10 +150,16 @@ impl Backward<Flex, 3> for LayerNorm {
 struct CrossAttention;
 
 impl Backward<Flex, 2> for CrossAttention {
-    type State = (FlexTensor, FlexTensor, usize, Options);
+    type State = ([Saved; 2], usize, Options);
 
-    fn backward(self, ops: Ops<Self::State, 2>, gradients: &mut Gradients, _: &mut Checkpointer) {
-        let (queries, keys_values, num_heads, options) = ops.state;
+    fn backward(
+        self,
+        ops: Ops<Self::State, 2>,
+        gradients: &mut Gradients,
+        checkpointer: &mut Checkpointer,
+    ) {
+        let (saved, num_heads, options) = ops.state;
+        let [queries, keys_values] = saved.map(|saved| saved.tensor(checkpointer));
         let parents = ops.parents.map(|node| node.map(|node| node.id));
         let gradient = HostRows::of(gradients.consume::<Flex>(&ops.node));
         let (queries, keys_values) = (HostRows::of(queries), HostRows::of(keys_values));
@@ -162,10 +175,16 @@ impl Backward<Flex, 2> for CrossAttention {
 struct SelfAttention;
 
 impl Backward<Flex, 1> for SelfAttention {
-    type State = (FlexTensor, usize, Options);
+    type State = (Saved, usize, Options);
 
-    fn backward(self, ops: Ops<Self::State, 1>, gradients: &mut Gradients, _: &mut Checkpointer) {
+    fn backward(
+        self,
+        ops: Ops<Self::State, 1>,
+        gradients: &mut Gradients,
+        checkpointer: &mut Checkpointer,
+    ) {
         let (all, num_heads, options) = ops.state;
+        let all = all.tensor(checkpointer);
         unary::<Flex, _>(ops.parents, ops.node, gradients, |gradient| {
             let (all, gradient) = (HostRows::of(all), HostRows::of(gradient));
             let all = all.view();
@@ -221,11 +240,17 @@ impl Backward<Flex, 4> for Gru {
 struct Gelu;
 
 impl Backward<Flex, 1> for Gelu {
-    type State = FlexTensor;
+    type State = Saved;
 
-    fn backward(self, ops: Ops<Self::State, 1>, gradients: &mut Gradients, _: &mut Checkpointer) {
+    fn backward(
+        self,
+        ops: Ops<Self::State, 1>,
+        gradients: &mut Gradients,
+        checkpointer: &mut Checkpointer,
+    ) {
+        let x = ops.state.tensor(checkpointer);
         unary::<Flex, _>(ops.parents, ops.node, gradients, |gradient| {
-            of_pairs(&ops.state, &gradient, gelu::backward)
+            of_pairs(&x, &gradient, gelu::backward)
         });
     }
 }
@@ -245,6 +270,20 @@ impl Backward<Flex, 1> for Mapped {
     }
 }
 
+#[derive(Debug)]
+struct Identity;
+
+impl Backward<Flex, 1> for Identity {
+    type State = ();
+
+    fn backward(self, ops: Ops<(), 1>, gradients: &mut Gradients, _: &mut Checkpointer) {
+        unary::<Flex, _>(ops.parents, ops.node, gradients, |gradient| gradient);
+    }
+}
+
+/// For an operation whose output is stored.
+type Stored<const N: usize> = fn([FlexTensor; N]) -> FlexTensor;
+
 impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
     fn fused_convolution(
         x: FloatTensor<Self>,
@@ -259,7 +298,7 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
         options: Options,
     ) -> FloatTensor<Self> {
         let inputs = [x, weight, bias, residual, norm_weight, norm_bias, film];
-        let nodes = inputs.each_ref().map(|tensor| tensor.node());
+        let recorded = Inputs::<C, 7>::of(&inputs);
         let [x, weight, bias, residual, norm_weight, norm_bias, film] =
             inputs.map(|tensor| tensor.into_primitive());
         let rows = HostRows::of(x.clone());
@@ -276,12 +315,16 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
             &plan,
             &options,
         );
-        record::<C, _, 7>(
-            Convolution,
-            nodes,
-            ([x, weight], norm, plan, options),
-            output,
-        )
+        let recompute = options.recomputed.then(|| {
+            let (norm, options) = (norm.clone(), options.clone());
+            move |[x, weight, bias, residual, ..]: [FlexTensor; 7]| {
+                let x = HostRows::of(x);
+                let norm = norm.as_ref();
+                convolution(x.view(), &weight, &bias, residual, norm, &plan, &options)
+            }
+        });
+        let state = |save: &mut dyn FnMut(_, _) -> _| (save(0, x), weight, norm, plan, options);
+        recorded.record(Convolution, recompute, state, output)
     }
 
     fn fused_group_norm(
@@ -293,13 +336,19 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
         plan: GroupNormPlan,
         options: Options,
     ) -> FloatTensor<Self> {
-        let nodes = [&x, &weight, &bias, &film].map(|tensor| tensor.node());
-        let x = x.into_primitive();
-        let tensors = [weight, bias, film, mask].map(|tensor| tensor.into_primitive());
+        let inputs = [x, weight, bias, film];
+        let recorded = Inputs::<C, 4>::of(&inputs);
+        let [x, weight, bias, film] = inputs.map(|tensor| tensor.into_primitive());
         let rows = HostRows::of(x.clone());
+        let tensors = [weight, bias, film, mask.into_primitive()];
         let norm = MeasuredNorm::new(rows.view(), plan, tensors, &options);
         let output = group_norm(rows.view(), &norm, &options);
-        record::<C, _, 4>(GroupNorm, nodes, (x, norm, options), output)
+        let recompute = {
+            let (norm, options) = (norm.clone(), options.clone());
+            move |[x, ..]: [FlexTensor; 4]| group_norm(HostRows::of(x).view(), &norm, &options)
+        };
+        let state = |save: &mut dyn FnMut(_, _) -> _| (save(0, x), norm, options);
+        recorded.record(GroupNorm, Some(recompute), state, output)
     }
 
     fn fused_cross_attention(
@@ -308,12 +357,20 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
         num_heads: usize,
         options: Options,
     ) -> FloatTensor<Self> {
-        let nodes = [queries.node(), keys_values.node()];
-        let (queries, keys_values) = (queries.into_primitive(), keys_values.into_primitive());
-        let [q, kv] = [&queries, &keys_values].map(FlexTensor::clone);
-        let output = Flex::fused_cross_attention(q, kv, num_heads, options.clone());
-        let state = (queries, keys_values, num_heads, options);
-        record::<C, _, 2>(CrossAttention, nodes, state, output)
+        let inputs = [queries, keys_values];
+        let recorded = Inputs::<C, 2>::of(&inputs);
+        let [queries, keys_values] = inputs.map(|tensor| tensor.into_primitive());
+        let attend = {
+            let options = options.clone();
+            move |[queries, keys_values]: [FlexTensor; 2]| {
+                Flex::fused_cross_attention(queries, keys_values, num_heads, options.clone())
+            }
+        };
+        let output = attend([queries.clone(), keys_values.clone()]);
+        let state = |save: &mut dyn FnMut(_, _) -> _| {
+            ([save(0, queries), save(1, keys_values)], num_heads, options)
+        };
+        recorded.record(CrossAttention, Some(attend), state, output)
     }
 
     fn fused_self_attention(
@@ -321,17 +378,27 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
         num_heads: usize,
         options: Options,
     ) -> FloatTensor<Self> {
-        let (all, node) = queries_keys_values.into_parts();
-        let output = Flex::fused_self_attention(all.clone(), num_heads, options.clone());
-        record::<C, _, 1>(SelfAttention, [node], (all, num_heads, options), output)
+        let inputs = [queries_keys_values];
+        let recorded = Inputs::<C, 1>::of(&inputs);
+        let [all] = inputs.map(|tensor| tensor.into_primitive());
+        let attend = {
+            let options = options.clone();
+            move |[all]: [FlexTensor; 1]| {
+                Flex::fused_self_attention(all, num_heads, options.clone())
+            }
+        };
+        let output = attend([all.clone()]);
+        let state = |save: &mut dyn FnMut(_, _) -> _| (save(0, all), num_heads, options);
+        recorded.record(SelfAttention, Some(attend), state, output)
     }
 
     fn concat_channels(first: FloatTensor<Self>, second: FloatTensor<Self>) -> FloatTensor<Self> {
-        let nodes = [first.node(), second.node()];
-        let (first, second) = (first.into_primitive(), second.into_primitive());
-        let channels = [&first, &second].map(|tensor| tensor.layout().shape()[1]);
-        let output = Flex::concat_channels(first, second);
-        record::<C, _, 2>(Concat, nodes, channels, output)
+        let inputs = [first, second];
+        let recorded = Inputs::<C, 2>::of(&inputs);
+        let parts = inputs.map(|tensor| tensor.into_primitive());
+        let channels = parts.each_ref().map(|part| part.layout().shape()[1]);
+        let concat = |[first, second]: [FlexTensor; 2]| Flex::concat_channels(first, second);
+        recorded.record(Concat, Some(concat), |_| channels, concat(parts))
     }
 
     fn fused_gru(
@@ -343,13 +410,13 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
         options: Options,
     ) -> FloatTensor<Self> {
         let tensors = [inputs, weight, bias, initial];
-        let nodes = tensors.each_ref().map(|tensor| tensor.node());
+        let recorded = Inputs::<C, 4>::of(&tensors);
         let tensors = tensors.map(|tensor| tensor.into_primitive());
         let (states, gates) =
             with_gru_values(&tensors, &options, |values| plan.forward(values, true));
         let states = tensor(states, [plan.time, plan.batch, plan.width]);
         let state = (tensors, states.clone(), gates, plan, options);
-        record::<C, _, 4>(Gru, nodes, state, states)
+        recorded.record(Gru, None::<Stored<4>>, |_| state, states)
     }
 
     fn fused_layer_norm(
@@ -358,22 +425,47 @@ impl<C: CheckpointStrategy> FusedOps for Autodiff<Flex, C> {
         bias: FloatTensor<Self>,
         eps: f64,
     ) -> FloatTensor<Self> {
-        let nodes = [&x, &weight, &bias].map(|tensor| tensor.node());
-        let [x, weight, bias] = [x, weight, bias].map(|tensor| tensor.into_primitive());
-        let output = Flex::fused_layer_norm(x.clone(), weight.clone(), bias, eps);
-        record::<C, _, 3>(LayerNorm, nodes, (x, weight, eps), output)
+        let inputs = [x, weight, bias];
+        let recorded = Inputs::<C, 3>::of(&inputs);
+        let [x, weight, bias] = inputs.map(|tensor| tensor.into_primitive());
+        let norm =
+            move |[x, weight, bias]: [FlexTensor; 3]| Flex::fused_layer_norm(x, weight, bias, eps);
+        let output = norm([x.clone(), weight.clone(), bias]);
+        let state = |save: &mut dyn FnMut(_, _) -> _| (save(0, x), weight, eps);
+        recorded.record(LayerNorm, Some(norm), state, output)
     }
 
     fn fused_gelu(x: FloatTensor<Self>) -> FloatTensor<Self> {
-        let (x, node) = x.into_parts();
-        let output = Flex::fused_gelu(x.clone());
-        record::<C, _, 1>(Gelu, [node], x, output)
+        let inputs = [x];
+        let recorded = Inputs::<C, 1>::of(&inputs);
+        let [x] = inputs.map(|tensor| tensor.into_primitive());
+        let activate = |[x]: [FlexTensor; 1]| Flex::fused_gelu(x);
+        let output = activate([x.clone()]);
+        let state = |save: &mut dyn FnMut(_, _) -> _| save(0, x);
+        recorded.record(Gelu, Some(activate), state, output)
     }
 
     fn fused_linear_map(x: FloatTensor<Self>, map: SharedMap) -> FloatTensor<Self> {
-        let (x, node) = x.into_parts();
+        let inputs = [x];
+        let recorded = Inputs::<C, 1>::of(&inputs);
+        let [x] = inputs.map(|tensor| tensor.into_primitive());
         let [_, channels, time] = x.layout().shape().dims();
-        let output = Flex::fused_linear_map(x, map.clone());
-        record::<C, _, 1>(Mapped, [node], (map, [channels, time]), output)
+        let apply = {
+            let map = map.clone();
+            move |[x]: [FlexTensor; 1]| Flex::fused_linear_map(x, map.clone())
+        };
+        let output = apply([x]);
+        let state = (map, [channels, time]);
+        recorded.record(Mapped, Some(apply), |_| state, output)
+    }
+
+    fn stored(x: FloatTensor<Self>) -> FloatTensor<Self> {
+        if !checkpoints::<C>() {
+            return x;
+        }
+        let inputs = [x];
+        let recorded = Inputs::<C, 1>::of(&inputs);
+        let [x] = inputs.map(|tensor| tensor.into_primitive());
+        recorded.record(Identity, None::<Stored<1>>, |_| (), x)
     }
 }

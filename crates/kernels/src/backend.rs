@@ -38,6 +38,8 @@ pub struct Options {
     pub lengths: Option<Lengths>,
     /// Keys that each query attends to.
     pub keys: Option<KeyRanges>,
+    /// Activation checkpointing computes the output again instead of storing it.
+    pub recomputed: bool,
 }
 
 impl From<Option<&Lengths>> for Options {
@@ -136,6 +138,9 @@ pub trait FusedOps: Backend {
 
     /// A linear map of each sample of `x`.
     fn fused_linear_map(x: FloatTensor<Self>, map: SharedMap) -> FloatTensor<Self>;
+
+    /// `x`, stored with activation checkpointing.
+    fn stored(x: FloatTensor<Self>) -> FloatTensor<Self>;
 }
 
 /// A normalization of one input.
@@ -451,5 +456,9 @@ impl FusedOps for Flex {
             }
         });
         from_rows(rows, [first.batch, first.time, channels])
+    }
+
+    fn stored(x: FlexTensor) -> FlexTensor {
+        x
     }
 }

@@ -76,6 +76,8 @@ pub(crate) fn convolution(x: Tensor<3>, convolution: Convolution) -> Tensor<3> {
         transposed,
         upsample,
         lengths,
+        // Burn's operations have their own checkpointing.
+        recomputed: _,
     } = convolution;
     let x = match norm {
         Some(norm) => group_norm(x, norm),

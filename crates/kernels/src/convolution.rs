@@ -26,6 +26,7 @@ pub struct Convolution {
     pub(crate) transposed: bool,
     pub(crate) upsample: Option<usize>,
     pub(crate) lengths: Option<Lengths>,
+    pub(crate) recomputed: bool,
 }
 
 impl Convolution {
@@ -46,6 +47,7 @@ impl Convolution {
             transposed: false,
             upsample: None,
             lengths: None,
+            recomputed: false,
         }
     }
 
@@ -103,6 +105,15 @@ impl Convolution {
         Self { lengths, ..self }
     }
 
+    /// With activation checkpointing, the output is not stored for the operations after it: the
+    /// backward pass computes it again.
+    pub fn recomputed(self) -> Self {
+        Self {
+            recomputed: true,
+            ..self
+        }
+    }
+
     /// # Shapes
     /// - x: `[batch, in, time]`
     /// - output: `[batch, out, frames]`
@@ -156,6 +167,7 @@ impl Convolution {
             bias: self.bias.is_some(),
             residual: self.residual.is_some(),
             lengths: self.lengths,
+            recomputed: self.recomputed,
             ..Options::default()
         };
         let norm = match self.norm {

@@ -33,6 +33,7 @@ mod normalization;
 pub mod optimizer;
 mod precision;
 mod product;
+mod recording;
 mod recurrence;
 
 pub use attention::{cross_attention, ranged_attention, self_attention};
@@ -47,6 +48,7 @@ pub use mode::{Mode, ModeError, VARIABLE};
 pub use normalization::{GroupNorm, gelu, layer_norm};
 pub use precision::{Precision, product};
 pub use product::float32_product;
+pub use recording::stored;
 pub use recurrence::{Direction, gru};
 
 #[cfg(test)]

@@ -7,5 +7,6 @@ mod fused;
 mod invariance;
 mod packed_cache;
 mod padding;
+mod recomputation;
 mod recurrence;
 mod reference;

@@ -1,12 +1,12 @@
 //! Locks the feet of a new motion where the feet of its examples rest.
 
 use kinegrad_capture::{Bvh, RootPose};
-use kinegrad_motion::feet::{Leg, lock, without_short_runs};
-use kinegrad_motion::vector::length;
+use kinegrad_motion::feet::{Leg, STEP_SECONDS, Standing, lock, without_short_runs};
+use kinegrad_motion::vector::{length, minus};
 
 use crate::motion_matrix::thinning;
 use crate::parts::feet;
-use crate::{Error, Example, MotionMatrix, Part, Sliding};
+use crate::{Error, Example, Frames, MotionMatrix, Part, Sliding};
 
 /// Speed in leg lengths a second below which a foot near the floor rests: 0.2 m/s for a person.
 const RESTING: f64 = 0.25;
@@ -14,8 +14,8 @@ const RESTING: f64 = 0.25;
 const NEAR: f64 = 0.15;
 /// Shortest contact in frames; shorter gaps between contacts are closed.
 const SHORTEST: usize = 3;
-/// Frames over which a correction fades.
-const BLEND: usize = 5;
+/// Copies of a loop that are locked together: the one in the middle continues on both sides.
+const COPIES: usize = 3;
 
 /// The legs of the skeleton. Fails if no foot has two bones above it.
 pub(crate) fn known_legs(layout: &MotionMatrix) -> Result<Vec<Leg>, Error> {
@@ -29,38 +29,60 @@ pub(crate) fn known_legs(layout: &MotionMatrix) -> Result<Vec<Leg>, Error> {
     Ok(legs)
 }
 
-/// The motion `bvh` with its feet locked where the examples' feet rest. `origins`: for each part
-/// the example and frame that each frame continues. Fails if no foot has two bones above it.
+/// The motion `bvh` of `frames` with its feet locked where the examples' feet rest. `origins`: for
+/// each part the example and frame that each frame continues. `is_loop`: feet are also locked across
+/// the seam. Fails if no foot has two bones above it.
 pub(crate) fn lock_feet(
     layout: &MotionMatrix,
-    bvh: &Bvh,
+    (frames, bvh): (&Frames, &Bvh),
     examples: &[Example],
     parts: &[Part],
     origins: &[Vec<(usize, usize)>],
+    is_loop: bool,
 ) -> Result<(Bvh, Sliding), Error> {
     let joints = layout.joints();
     let parents: Vec<Option<usize>> = joints.iter().map(|joint| joint.parent).collect();
     let legs = known_legs(layout)?;
     let rests = |example: &Example| resting(layout, &example.bvh, &legs);
     let rests: Vec<Vec<Vec<bool>>> = examples.iter().map(rests).collect();
+    let copies = if is_loop { COPIES } else { 1 };
     let contacts = legs.iter().enumerate().map(|(index, leg)| {
         let part = parts.iter().position(|p| p.joints.contains(&leg.ankle));
-        let origins = &origins[part.unwrap_or(0)];
-        let flags = origins.iter().map(|&(example, t)| rests[example][index][t]);
-        without_short_runs(flags.collect(), SHORTEST)
+        let origins = origins[part.unwrap_or(0)].iter();
+        let flags = origins.map(|&(example, t)| rests[example][index][t]);
+        let flags: Vec<bool> = flags.collect();
+        without_short_runs(flags.repeat(copies), SHORTEST)
     });
     let contacts: Vec<Vec<bool>> = contacts.collect();
-    let world: Vec<Vec<RootPose>> = (0..bvh.frames()).map(|t| bvh.world(t)).collect();
+    let unrolled = layout.to_bvh(&Frames::joined(&vec![frames.clone(); copies]))?;
+    let world: Vec<Vec<RootPose>> = (0..unrolled.frames()).map(|t| unrolled.world(t)).collect();
     let place = |frame: &Vec<RootPose>| frame.iter().map(|pose| pose.position).collect();
     let places: Vec<Vec<[f64; 3]>> = world.iter().map(place).collect();
-    let locked = lock(&places, &parents, &legs, &contacts, BLEND);
-    let mut locals = Vec::with_capacity(world.len() * joints.len());
-    for (t, world) in world.iter().enumerate() {
+    let up = layout.up as usize;
+    let rising = |leg: &Leg| {
+        let step = |pair: &[Vec<[f64; 3]>]| {
+            let mut step = [0.0; 3];
+            step[up] = minus(pair[1][leg.sole], pair[0][leg.sole])[up];
+            step
+        };
+        places.windows(2).map(step).collect()
+    };
+    let standing = Standing {
+        contacts: &contacts,
+        steps: &legs.iter().map(rising).collect::<Vec<_>>(),
+        fade: STEP_SECONDS / layout.frame_time(),
+        up,
+    };
+    let locked = lock(&places, &parents, &legs, &standing);
+    let first = copies / 2 * bvh.frames();
+    let mut locals = Vec::with_capacity(bvh.frames() * joints.len());
+    for (t, world) in world[first..].iter().take(bvh.frames()).enumerate() {
         let mut poses = bvh.locals(t);
         for (leg, turns) in legs.iter().zip(&locked.turns) {
+            let turns = turns[first + t];
             let above = parents[leg.hip].map(|joint| world[joint].orientation);
-            let hip = turns[t].hip * world[leg.hip].orientation;
-            let knee = turns[t].knee * world[leg.knee].orientation;
+            let hip = turns.hip * world[leg.hip].orientation;
+            let knee = turns.knee * world[leg.knee].orientation;
             poses[leg.hip].orientation = above.map_or(hip, |above| above.conjugate() * hip);
             poses[leg.knee].orientation = hip.conjugate() * knee;
             poses[leg.ankle].orientation = knee.conjugate() * world[leg.ankle].orientation;
@@ -68,7 +90,7 @@ pub(crate) fn lock_feet(
         locals.extend(poses);
     }
     let frame_time = layout.frame_time();
-    let slid = Sliding::of(&places, &locked.positions, &legs, &contacts, frame_time);
+    let slid = Sliding::of(&places, &locked.positions, &legs, &standing, frame_time);
     Ok((bvh.reposed(bvh.frame_time(), &locals)?, slid))
 }
 

@@ -92,7 +92,7 @@ pub struct Job {
     pub heading: Heading,
     /// Tries further noise and a higher coherence as long as the motion is beyond the bounds of
     /// [`Quality`](crate::Quality), then locked feet. Jobs with content or fixed parts are not tried
-    /// again, and feet of loops and of motions with key frames are not locked.
+    /// again, and feet of motions with key frames are not locked.
     pub adapts: bool,
     /// Division of the body.
     pub parts: PartChoice,
@@ -101,7 +101,7 @@ pub struct Job {
     /// Fixed parts.
     pub fixed: Vec<Fixed>,
     /// Locks feet where the examples' feet rest. Locking also moves legs of key frames and of fixed
-    /// parts, and the seam of a loop.
+    /// parts.
     pub lock_feet: bool,
 }
 
@@ -274,7 +274,8 @@ impl Job {
                 layout.stay_in_place(&mut frames);
                 let in_place = layout.to_bvh(&frames)?;
                 let toe = |bvh: &Bvh| reference.quality(bvh).motion.toe_speed_while_low;
-                if toe(&in_place) < toe(&bvh) {
+                let strays = reference.strays(&layout.path(&synthesis.frames));
+                if strays || toe(&in_place) < toe(&bvh) {
                     (synthesis.frames, bvh) = (frames, in_place);
                 }
             }
@@ -295,10 +296,14 @@ impl Job {
         let mut sliding = None;
         // Feet that creep in every attempt are locked if the motion gains by it.
         let strict = reference.quality(&bvh).strict_excess();
-        let creeps = adapts && strict > 1.0 && constraints.is_empty() && !is_loop;
+        let creeps = adapts && strict > 1.0 && constraints.is_empty();
         if self.lock_feet || creeps {
-            let locked = lock_feet(&layout, &bvh, examples, &parts, &synthesis.origins);
-            let gains = |locked: &Bvh| reference.quality(locked).strict_excess() < strict;
+            let (motion, origins) = ((&synthesis.frames, &bvh), &synthesis.origins);
+            let locked = lock_feet(&layout, motion, examples, &parts, origins, is_loop);
+            let seam = |bvh: &Bvh| Seam::of(&layout, bvh).filter(|_| is_loop).map(Seam::jump);
+            let torn = |locked: &Bvh| seam(locked) > seam(&bvh).map(|jump| jump.max(SMOOTH_SEAM));
+            let gains =
+                |locked: &Bvh| reference.quality(locked).strict_excess() < strict && !torn(locked);
             match locked {
                 Ok((locked, slid)) if self.lock_feet || gains(&locked) => {
                     (bvh, sliding) = (locked, Some(slid));

@@ -1,6 +1,6 @@
 //! Initial weights, keyed by the parameter's name.
 
-use burn::module::{Param, ParamId};
+use burn::module::{Param, ParamId, RunningState};
 use burn::tensor::{Device, Shape, Tensor, TensorData};
 use kinegrad_random::{Key, Purpose};
 
@@ -62,6 +62,15 @@ impl Initializer {
     /// A parameter whose elements are all `value`.
     pub fn constant<const D: usize>(&self, shape: [usize; D], value: f32) -> Param<Tensor<D>> {
         self.parameter(shape, move |n| vec![value; n])
+    }
+
+    /// A running statistic whose elements are all `value`.
+    pub fn running<const D: usize>(
+        &self,
+        shape: [usize; D],
+        value: f32,
+    ) -> RunningState<Tensor<D>> {
+        RunningState::new(Tensor::full(shape, value, &self.device))
     }
 
     /// A parameter with these row-major values.

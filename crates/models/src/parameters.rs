@@ -119,6 +119,42 @@ pub fn values<M: Module>(module: &M) -> Vec<Vec<f32>> {
     parameters.map(|parameter| parameter.values).collect()
 }
 
+/// The indices of running statistics, such as those of BatchNorm. They are not trained, but change
+/// in training.
+pub fn running_statistics(infos: &[ParameterInfo]) -> Vec<usize> {
+    let is_running = |info: &ParameterInfo| {
+        let last = info.name.rsplit('.').next();
+        last.is_some_and(|name| name.starts_with("running_"))
+    };
+    let indices = infos.iter().enumerate();
+    let indices = indices.filter(|(_, info)| is_running(info));
+    indices.map(|(index, _)| index).collect()
+}
+
+/// The values of the parameters at ascending `indices` on the host.
+pub fn values_at<M: Module>(module: &M, indices: &[usize]) -> Vec<Vec<f32>> {
+    struct Visitor<'a> {
+        indices: &'a [usize],
+        index: usize,
+        values: Vec<Vec<f32>>,
+    }
+    impl ModuleVisitor for Visitor<'_> {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            if self.indices.contains(&self.index) {
+                self.values.push(to_host(param.val().inner().into_data()));
+            }
+            self.index += 1;
+        }
+    }
+    let mut visitor = Visitor {
+        indices,
+        index: 0,
+        values: Vec::new(),
+    };
+    module.visit(&mut visitor);
+    visitor.values
+}
+
 /// Number of elements of all parameters, without initializing them.
 pub fn count<M: Module>(module: &M) -> usize {
     infos(module).iter().map(ParameterInfo::len).sum()

@@ -87,7 +87,12 @@ impl ResBlock {
             norm.lengths(lengths.cloned())
         };
         let norm1 = activated(&self.norm1);
-        let h = self.conv1.operation().norm(norm1).forward(x.clone());
+        let h = self
+            .conv1
+            .operation()
+            .norm(norm1)
+            .recomputed()
+            .forward(x.clone());
         let e = self.time_mlp_at_1.forward(silu(time_emb));
         let norm2 = activated(&self.norm2);
         let (h, norm2) = if self.use_scale_shift_norm {

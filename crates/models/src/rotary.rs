@@ -1,6 +1,9 @@
 //! Rotary positions (Su et al. 2021, <https://arxiv.org/abs/2104.09864>).
 
+use std::sync::Arc;
+
 use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_kernels::{LinearMap, linear_map};
 
 /// Rotates channels of each head by the frame's position. The product of a query and a key then
 /// depends only on the distance between their frames:
@@ -25,17 +28,14 @@ impl Rotation {
     /// Rotates the first `channels` (even) channels of each head, in the motions with a true entry
     /// in `turns`. A single entry applies to all motions.
     pub fn new(channels: usize, time: usize, turns: &[bool], device: &Device) -> Self {
-        let half = channels / 2;
-        // Computed in double precision on the host, like the timestep embedding.
-        let frequencies = (0..half).map(|i| 10_000f64.powf(-(i as f64) / half as f64));
-        let frequencies: Vec<f64> = frequencies.collect();
-        let angles: Vec<f64> = (0..time)
-            .flat_map(|t| {
-                frequencies
-                    .iter()
-                    .map(move |frequency| t as f64 * frequency)
-            })
-            .collect();
+        let positions: Vec<usize> = (0..time).collect();
+        Self::at(channels, &positions, turns, device)
+    }
+
+    /// [`new`](Self::new) for tokens at these positions, `[time]`.
+    pub fn at(channels: usize, positions: &[usize], turns: &[bool], device: &Device) -> Self {
+        let (half, time) = (channels / 2, positions.len());
+        let angles = angles(half, positions.iter().copied());
         let table = |of: fn(f64) -> f64| {
             let angles = &angles;
             let values = turns.iter().flat_map(|turns| {
@@ -74,13 +74,87 @@ impl Rotation {
     }
 }
 
+/// The angles of the frequencies at each position, `[time, half]`. Computed in double precision on the
+/// host, like the timestep embedding.
+fn angles(half: usize, positions: impl Iterator<Item = usize>) -> Vec<f64> {
+    let frequencies = (0..half).map(|i| 10_000f64.powf(-(i as f64) / half as f64));
+    let frequencies: Vec<f64> = frequencies.collect();
+    let of_frame = |t| {
+        frequencies
+            .iter()
+            .map(move |frequency| t as f64 * frequency)
+    };
+    positions.flat_map(of_frame).collect()
+}
+
 /// Rotates all channels of each head, an even number ([`Rotation`]).
 ///
 /// # Shapes
 /// - x, output: `[batch, channels, time]`, the channels of a head contiguous
 pub fn rotate(x: Tensor<3>, num_heads: usize) -> Tensor<3> {
     let [_, channels, time] = x.dims();
-    Rotation::new(channels / num_heads, time, &[true], &x.device()).turn(x, num_heads)
+    let half = channels / num_heads / 2;
+    let angles = angles(half, 0..time);
+    // As columns, because a sample's frames are contiguous.
+    let table = |of: fn(f64) -> f64| {
+        let columns = (0..half).flat_map(|i| angles.iter().skip(i).step_by(half));
+        columns.map(|angle| of(*angle) as f32).collect()
+    };
+    let (cos, sin) = (table(f64::cos), table(f64::sin));
+    linear_map(
+        x,
+        Arc::new(Rotated {
+            num_heads,
+            cos,
+            sin,
+        }),
+    )
+}
+
+/// The rotation of all motions as a map of one.
+#[derive(Debug)]
+struct Rotated {
+    num_heads: usize,
+    /// `[half, time]`.
+    cos: Vec<f32>,
+    sin: Vec<f32>,
+}
+
+impl Rotated {
+    /// Rotates by the angles times `sign`.
+    fn turn(&self, values: &[f32], turned: &mut [f32], sign: f32) {
+        let head = values.len() / self.num_heads;
+        let heads = values.chunks(head).zip(turned.chunks_mut(head));
+        for (values, turned) in heads {
+            let (a, b) = values.split_at(head / 2);
+            let (turned_a, turned_b) = turned.split_at_mut(head / 2);
+            for (index, (cos, sin)) in self.cos.iter().zip(&self.sin).enumerate() {
+                let (a, b, sin) = (a[index], b[index], sign * sin);
+                turned_a[index] = a * cos - b * sin;
+                turned_b[index] = a * sin + b * cos;
+            }
+        }
+    }
+}
+
+impl LinearMap for Rotated {
+    fn shape(&self, channels: usize, frames: usize) -> [usize; 2] {
+        [channels, frames]
+    }
+
+    fn apply(&self, values: &[f32], mapped: &mut [f32]) {
+        self.turn(values, mapped, 1.0);
+    }
+
+    fn adjoint(&self, gradient: &[f32], mapped: &mut [f32]) {
+        self.turn(gradient, mapped, -1.0);
+    }
+
+    fn composed(&self, x: Tensor<3>) -> Tensor<3> {
+        let [_, channels, time] = x.dims();
+        let head = channels / self.num_heads;
+        Rotation::new(head, time, &[true], &x.device()).turn(x, self.num_heads)
+    }
 }
 
 #[cfg(test)]

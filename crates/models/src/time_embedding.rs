@@ -67,6 +67,7 @@ pub struct TimeEmbedding {
     at_0: Linear,
     at_2: Linear,
     dim: usize,
+    scale: f64,
 }
 
 impl TimeEmbedding {
@@ -76,13 +77,21 @@ impl TimeEmbedding {
             at_0: Linear::new(dim, dim, &init.at("0")),
             at_2: Linear::new(dim, dim, &init.at("2")),
             dim,
+            scale: 1.0,
         }
+    }
+
+    /// Embeds times multiplied by `scale`.
+    #[must_use]
+    pub fn scaled(self, scale: f64) -> Self {
+        Self { scale, ..self }
     }
 
     /// # Shapes
     /// - output: `[times, dim]`
     pub fn forward(&self, time: &[Time], device: &Device) -> Tensor<2> {
-        let h = self.at_0.forward(sinusoidal(time, self.dim, device));
+        let time: Vec<Time> = time.iter().map(|&Time(t)| Time(t * self.scale)).collect();
+        let h = self.at_0.forward(sinusoidal(&time, self.dim, device));
         self.at_2.forward(silu(h))
     }
 }

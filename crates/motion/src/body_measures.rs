@@ -1,5 +1,7 @@
 //! Measures of how a body moves, from the positions of its joints.
 
+mod statue;
+mod time_direction;
 mod value;
 
 use crate::sanity::{Bounds, FACTOR, Margin};
@@ -35,6 +37,13 @@ pub enum BodyMeasure {
     /// Mean speed of the root on the ground divided by the mean speed of the joints around it, to
     /// which 0.05 m/s are added. A statue that is carried around has a large value.
     Glide,
+    /// Longest time in which both feet move while the pose stays the same, seconds: a statue that is
+    /// carried around or sways.
+    Statue,
+    /// How much more abruptly the ankles start and rise than stop and fall. Feet land faster than
+    /// they lift: walks and runs are negative, and in reverse order positive. 0 of a body that does
+    /// not travel.
+    TimeDirection,
     /// Share of the steps in which a foot slides ([`sliding_ratio`](crate::metrics::sliding_ratio)).
     Skating,
     /// Lowest height of a joint, metres.
@@ -64,7 +73,7 @@ pub struct BodyValue {
 
 impl BodyMeasure {
     /// All measures.
-    pub const ALL: [Self; 18] = [
+    pub const ALL: [Self; 20] = [
         Self::FastestRoot,
         Self::MeanSpeed,
         Self::Speed99,
@@ -77,6 +86,8 @@ impl BodyMeasure {
         Self::TurnAcceleration,
         Self::StillShare,
         Self::Glide,
+        Self::Statue,
+        Self::TimeDirection,
         Self::Skating,
         Self::Lowest,
         Self::Floating,
@@ -100,6 +111,8 @@ impl BodyMeasure {
             Self::TurnAcceleration => "turn_acceleration",
             Self::StillShare => "still_share",
             Self::Glide => "glide",
+            Self::Statue => "statue",
+            Self::TimeDirection => "time_direction",
             Self::Skating => "skating",
             Self::Lowest => "floor",
             Self::Floating => "floating",
@@ -124,6 +137,10 @@ impl BodyMeasure {
             Self::TurnAcceleration => "largest change of the body's turn rate",
             Self::StillShare => "share of the steps without movement",
             Self::Glide => "speed of the root relative to that of the limbs",
+            Self::Statue => "longest time in which both feet move and the pose stays the same",
+            Self::TimeDirection => {
+                "how much more abruptly ankles lift than land (as in motion in reverse order)"
+            }
             Self::Skating => "share of the steps in which a foot slides",
             Self::Lowest => "height of the lowest joint",
             Self::Floating => "median height of the lowest joint",
@@ -141,9 +158,13 @@ impl BodyMeasure {
             Self::LargestTurn => "degrees/s",
             Self::RootAcceleration => "m/s^2",
             Self::TurnAcceleration => "degrees/s^2",
-            Self::LongestFlight => "s",
+            Self::Statue | Self::LongestFlight => "s",
             Self::Lowest | Self::Floating | Self::LegLength => "m",
-            Self::StillShare | Self::Glide | Self::Skating | Self::RootHeight => "",
+            Self::StillShare
+            | Self::Glide
+            | Self::TimeDirection
+            | Self::Skating
+            | Self::RootHeight => "",
         }
     }
 
@@ -165,6 +186,8 @@ impl BodyMeasure {
             // The extremes are checked, and the mean jerk against the 95th percentile.
             Self::MeanSpeed | Self::Speed99 | Self::MeanJerk => Bounds::Unchecked,
             Self::Glide => Bounds::Upper(FACTOR),
+            Self::Statue => Bounds::NotAbove(margin(0.0, 1.0)),
+            Self::TimeDirection => Bounds::NotAbove(margin(0.0, 0.75)),
             Self::StillShare => Bounds::NotAbove(margin(0.0, 0.3)),
             Self::Skating => Bounds::NotAbove(margin(0.0, 0.2)),
             Self::Lowest => Bounds::NotBelow(margin(0.0, 0.04)),

@@ -4,6 +4,8 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use kinegrad_systems::BUILT_IN;
+use kinegrad_train::config::EnvironmentSetting;
+use kinegrad_train::config::environment::runs_dir as runs_dir_of_environment;
 use kinegrad_train::run::{self, Target, TrainRequest};
 use kinegrad_train::{Ending, Observer, Reading, RunSummary, StepReport};
 use pyo3::exceptions::PyKeyboardInterrupt;
@@ -101,18 +103,23 @@ pub fn train(
     py: Python<'_>,
     config: PathBuf,
     overrides: Vec<String>,
-    runs_dir: PathBuf,
+    runs_dir: Option<PathBuf>,
     resume: bool,
     event: Py<PyAny>,
 ) -> PyResult<PathBuf> {
     kinegrad_kernels::memory::keep_freed();
+    let environment = call(py, EnvironmentSetting::all)?;
     let request = TrainRequest {
         target: match resume {
             true => Target::Resumed(config),
             false => Target::New(config),
         },
         overrides,
-        runs_dir,
+        environment,
+        runs_dir: match runs_dir {
+            Some(folder) => folder,
+            None => call(py, runs_dir_of_environment)?.0,
+        },
         dry_run: false,
     };
     let mut events = Events {

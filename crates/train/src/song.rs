@@ -1,6 +1,7 @@
 //! Songs and their features.
 
-use std::path::Path;
+use std::fs;
+use std::path::{Path, PathBuf};
 
 use kinegrad_audio::{
     Analysis, Features, Pulse, SAMPLE_RATE, Waveform, decode, extract, extract_near,
@@ -95,6 +96,40 @@ impl KnownBeats {
     }
 }
 
+/// Endings of songs that can be decoded.
+const ENDINGS: [&str; 5] = ["flac", "mp3", "oga", "ogg", "wav"];
+
+/// The songs in a folder, sorted by name; a file is one song.
+///
+/// # Errors
+/// [`Error::Usage`] for a folder without songs.
+pub fn songs_in(folder: &Path) -> Result<Vec<PathBuf>, Error> {
+    if folder.is_file() {
+        return Ok(vec![folder.to_path_buf()]);
+    }
+    let entries = fs::read_dir(folder).map_err(Error::io("read", folder))?;
+    let mut songs = Vec::new();
+    for entry in entries {
+        let path = entry.map_err(Error::io("read", folder))?.path();
+        let ending = path.extension().and_then(|ending| ending.to_str());
+        let ending = ending.unwrap_or_default().to_ascii_lowercase();
+        if ENDINGS.contains(&ending.as_str()) && path.is_file() {
+            songs.push(path);
+        }
+    }
+    songs.sort();
+    match songs.is_empty() {
+        false => Ok(songs),
+        true => Err(Error::usage(
+            format!("{} contains no song", folder.display()),
+            format!(
+                "songs end in {}",
+                ENDINGS.map(|ending| format!(".{ending}")).join(", ")
+            ),
+        )),
+    }
+}
+
 /// Decodes the song at `path` and computes its features, with beats near the `known` tempo.
 ///
 /// # Errors
@@ -124,6 +159,21 @@ pub fn song_features(path: &Path, known: &KnownBeats) -> Result<(Waveform, Featu
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn songs_of_a_folder_are_sorted_and_other_files_ignored() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let empty = songs_in(folder.path()).expect_err("no song").to_string();
+        assert!(empty.contains("contains no song"), "{empty}");
+        for name in ["b.WAV", "a.mp3", "notes.txt", "c.flac.part"] {
+            std::fs::write(folder.path().join(name), "").expect("written");
+        }
+        let songs = songs_in(folder.path()).expect("songs");
+        let expected = ["a.mp3", "b.WAV"].map(|name| folder.path().join(name));
+        assert_eq!(songs, expected);
+        assert_eq!(songs_in(&expected[0]).expect("a song"), expected[..1]);
+        songs_in(&folder.path().join("none")).expect_err("no folder");
+    }
 
     #[test]
     fn what_cannot_be_known_is_refused() {

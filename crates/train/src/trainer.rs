@@ -11,6 +11,7 @@ mod rows;
 mod saving;
 mod states;
 
+use std::borrow::Cow;
 use std::path::PathBuf;
 use std::rc::Rc;
 
@@ -22,7 +23,7 @@ use kinegrad_motion::Statistics;
 use kinegrad_ranks::Receivers;
 
 use crate::checkpoint::{Checkpoint, Checkpoints, Progress, Weights};
-use crate::config::Config;
+use crate::config::{Config, RunLength};
 use crate::error::Error;
 use crate::observer::{Observer, StepReport};
 use crate::optim::{clip_factor, learning_rate, norm_of_squares};
@@ -56,10 +57,14 @@ pub struct Trainer<R: Recipe> {
     /// Optimizer group of each parameter.
     groups: Vec<usize>,
     states: States,
+    /// Indices of running statistics, which are their own average.
+    running: Vec<usize>,
     /// The exchange between ranks; borrowed during a step.
     exchange: Option<Exchange>,
     /// Steps done.
     pub step: u64,
+    /// The run's length and intervals.
+    length: RunLength,
     /// The state of the search for the best weights.
     pub progress: Progress,
     /// The writer of metrics; `None` for a trainer that only times its steps.
@@ -74,6 +79,8 @@ pub struct TrainerParts<R: Recipe> {
     pub recipe: R,
     /// Names of its optimizer groups.
     pub groups: &'static [&'static str],
+    /// Steps of an epoch.
+    pub steps_per_epoch: u64,
     /// The resolved config.
     pub config: Config,
     /// Statistics of the training data.
@@ -134,10 +141,12 @@ impl<R: Recipe> Trainer<R> {
         Self {
             model: Some(model),
             groups,
+            running: parameters::running_statistics(&infos),
             states,
             exchange,
             record: None,
             infos,
+            length: parts.config.length(parts.steps_per_epoch),
             parts,
             step: checkpoint_step.unwrap_or(0),
             progress,
@@ -148,8 +157,12 @@ impl<R: Recipe> Trainer<R> {
 
     /// Trains to the end or until stopped, with a checkpoint of the last step.
     pub fn run(&mut self, observer: &mut dyn Observer) -> Result<Ending, Error> {
-        let max_steps = self.parts.config.train.max_steps;
-        let validates = self.parts.config.validation.every_steps > 0;
+        let RunLength {
+            max_steps,
+            checkpoint_every,
+            validate_every,
+        } = self.length;
+        let validates = validate_every > 0;
         let first = self.step;
         if self.step == 0 && validates && self.parts.recipe.measures_first() {
             // Training may worsen the initial weights. A run stopped here measures the initial
@@ -198,10 +211,9 @@ impl<R: Recipe> Trainer<R> {
                 },
             };
             written = self.write(&record);
-            let best =
-                self.is_due(self.parts.config.validation.every_steps) && self.validate(observer)?;
+            let best = self.is_due(validate_every) && self.validate(observer)?;
             let previews = self.previews_are_due();
-            if best || previews || self.is_due(self.parts.config.checkpoint.every_steps) {
+            if best || previews || self.is_due(checkpoint_every) {
                 self.save(observer)?;
             }
             if previews {
@@ -222,7 +234,8 @@ impl<R: Recipe> Trainer<R> {
     /// Writes metrics and loading statistics if due.
     fn write(&mut self, record: &Record) -> Result<(), Error> {
         let train = &self.parts.config.train;
-        let due = self.step.is_multiple_of(train.log_every_steps) || self.step == train.max_steps;
+        let last = self.step == self.length.max_steps;
+        let due = self.step.is_multiple_of(train.log_every_steps) || last;
         if let Some((metrics, loader_log)) = self.record.as_mut().filter(|_| due) {
             metrics.write(record)?;
             loader_log.write(self.step, self.parts.loader.report())?;
@@ -239,7 +252,7 @@ impl<R: Recipe> Trainer<R> {
 
     /// True if an event with this interval is due; every event is due at the last step.
     fn is_due(&self, every: u64) -> bool {
-        let last = self.step == self.parts.config.train.max_steps;
+        let last = self.step == self.length.max_steps;
         every > 0 && (self.step.is_multiple_of(every) || last)
     }
 
@@ -277,7 +290,8 @@ impl<R: Recipe> Trainer<R> {
             return Err(self.not_finite(self.step + 1, what));
         }
         let names = self.parts.groups.iter();
-        let rate_of = |name| learning_rate(&optim, optim.rate_of(name), self.step, train.max_steps);
+        let max_steps = self.length.max_steps;
+        let rate_of = |name| learning_rate(&optim, optim.rate_of(name), self.step, max_steps);
         let rates: Vec<f64> = names.clone().map(|name| rate_of(name)).collect();
         let rate = rates[0];
         let of_parameters = self.groups.iter().map(|&group| rates[group]);
@@ -295,7 +309,7 @@ impl<R: Recipe> Trainer<R> {
         self.step += 1;
         let report = StepReport {
             step: self.step,
-            max_steps: train.max_steps,
+            max_steps,
             loss,
             learning_rate: rate,
             grad_norm,
@@ -317,9 +331,23 @@ impl<R: Recipe> Trainer<R> {
     fn averaged_model(&self) -> R::Model {
         let model = self.model.as_ref();
         let model = model.expect("present between updates").valid();
-        let ranks = self.parts.group.ranks();
-        let averages = self.states.averages(ranks, Receivers::All);
+        let averages = self.averages(Receivers::All);
         parameters::replace(model, averages.into_owned())
+    }
+
+    /// The averages of all parameters, on the ranks that receive them. Collective.
+    fn averages(&self, to: Receivers) -> Cow<'_, [Vec<f32>]> {
+        let averages = self.states.averages(self.parts.group.ranks(), to);
+        if self.running.is_empty() {
+            return averages;
+        }
+        let mut averages = averages.into_owned();
+        let model = self.model.as_ref().expect("present between updates");
+        let values = parameters::values_at(model, &self.running);
+        for (&index, values) in self.running.iter().zip(values) {
+            averages[index] = values;
+        }
+        averages.into()
     }
 
     /// Validates the EMA weights and records the loss, and the score that selects the best step.
@@ -395,7 +423,7 @@ impl<R: Recipe> Trainer<R> {
         drop(weights);
         // The first rank gathers one part after the other, even if writing has failed.
         let (ranks, to) = (group.ranks(), Receivers::First);
-        let averages = self.states.averages(ranks, to);
+        let averages = self.averages(to);
         saving.weights(Weights::Ema, &averages);
         drop(averages);
         let moments = self.states.moments(ranks, to);

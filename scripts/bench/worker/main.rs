@@ -40,11 +40,11 @@ use kinegrad_diffusion::{
     ClipRange, DiffusionConfig, GaussianDiffusion, PredictionType, SamplerConfig, sample,
 };
 use kinegrad_flow::network::FlowConfig;
-use kinegrad_gmd::GmdLossConfig;
 use kinegrad_gmd::network::Backbone;
 use kinegrad_gmd::network::GmdUnetConfig;
 use kinegrad_gmd::network::TextDenoiser;
 use kinegrad_gmd::recipes::clip_recipe;
+use kinegrad_gmd::{GmdConfig, GmdLossConfig};
 use kinegrad_models::Initializer;
 use kinegrad_models::parameters::{self, ParameterInfo};
 use kinegrad_motion::Statistics;
@@ -366,11 +366,14 @@ fn load(row: Row, folder: &Path, device: &Device) -> Result<Box<dyn Work>> {
             };
             let model = parameters::load(network.init(&device)?, weights)?;
             let channels = network.motion_channels;
-            let loss = GmdLossConfig {
-                trajectory_scale,
-                ..GmdLossConfig::default()
+            let own = GmdConfig {
+                loss: GmdLossConfig {
+                    trajectory_scale,
+                    ..GmdLossConfig::default()
+                },
+                ..GmdConfig::default()
             };
-            let recipe = clip_recipe(diffusion, channels, &loss, None, held_out);
+            let recipe = clip_recipe(diffusion, channels, &own, None, None, held_out);
             let (batch, draws) = (inputs.clips()?, inputs.draws()?);
             let loss = move |recipe: &DenoisingRecipe<TextDenoiser>, model: &TextDenoiser| {
                 recipe.loss_of(model, batch.clone(), draws.clone())

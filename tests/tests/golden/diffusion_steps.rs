@@ -2,8 +2,8 @@
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
-    BetaSchedule, ClipRange, Ddim, DiffusionConfig, GaussianDiffusion, Prediction, PredictionType,
-    ddim_step, ddpm_step,
+    BetaSchedule, ClipRange, Ddim, Ddpm, DiffusionConfig, GaussianDiffusion, Prediction,
+    PredictionType, ddim_step, ddpm_step,
 };
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_tests::trials;
@@ -160,7 +160,8 @@ fn golden_ddpm_step(golden: Golden) {
     let steps = Steps::of(golden);
     let noise = steps.tensor("in.step_noise");
     let step = |diffusion: &GaussianDiffusion, prediction: &Prediction<'_>, at: &[usize], z| {
-        ddpm_step(diffusion, prediction, at, &one_down(at), z, None)
+        let ddpm = Ddpm::default();
+        ddpm_step(diffusion, prediction, at, &one_down(at), [z, None], &ddpm)
     };
     steps.compare(
         "p_sample",

@@ -69,11 +69,11 @@ fn golden_timesteps_match_exactly(golden: Golden) {
         let prefix = format!("out.timesteps_{section}.");
         for case in golden.names_under(&prefix) {
             let (total, steps) = case.split_once('.').expect("T and N");
-            let config = SamplerKind::Ddpm(Timesteps {
+            let config = Timesteps {
                 timestep_spacing,
                 guidance_until: 0,
-            });
-            let config = SamplerConfig::new(config, number(steps));
+            };
+            let config = SamplerConfig::new(SamplerKind::Ddpm(config.into()), number(steps));
             let found = timesteps(&config, number(total));
             let found: Vec<f64> = found.into_iter().map(|t| t as f64).collect();
             golden.compare_exactly(&format!("{prefix}{case}"), &found);

@@ -61,6 +61,7 @@ fn the_transformer_is_that_of_pytorch() {
         num_heads: heads as usize,
         ff_size: inner,
         dropout: 0.0,
+        ..EncoderConfig::mdm()
     };
     let channels = golden.get("in.x").shape[1];
     let (backbone, init) = (

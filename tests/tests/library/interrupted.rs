@@ -50,6 +50,7 @@ fn a_stop_while_items_are_read_or_measured_leaves_nothing() {
             let request = TrainRequest {
                 target: Target::New(path),
                 overrides: Vec::new(),
+                environment: Vec::new(),
                 runs_dir: folder.path().join("runs"),
                 dry_run: false,
             };

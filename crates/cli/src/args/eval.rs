@@ -50,6 +50,9 @@ pub struct CheckArguments {
 Examples:
   kinegrad eval runs/phrases
   kinegrad eval runs/one runs/two --set evaluation.seeds=4 --out comparison
+  kinegrad eval runs/phrases --quick
+  kinegrad eval runs/phrases --num-samples 100 --num-frames 120 --steps 20
+  kinegrad eval runs/phrases --songs music
   kinegrad eval runs/phrases --set evaluation.cond=noise --json
   kinegrad eval runs/phrases --audio-ablation --guidance-scale 1,1.5,2,3,4
   kinegrad eval runs/gmd_motion --trajectory-run runs/gmd_trajectory --set evaluation.obstacles=2")]
@@ -60,6 +63,20 @@ pub struct EvalArguments {
     /// Run of recipe `gmd_trajectory` that generates the ground paths first
     #[arg(long, value_name = "RUN")]
     pub trajectory_run: Option<PathBuf>,
+    /// Sample few phrases in few steps: 20 samples of 10 steps, unless `--num-samples` or `--steps`
+    /// is given
+    #[arg(long, conflicts_with = "audio_ablation")]
+    pub quick: bool,
+    /// Most samples in total [default: `evaluation.seeds` of each phrase]
+    #[arg(long, value_name = "N")]
+    pub num_samples: Option<usize>,
+    /// Most frames of a sample [default: the phrase; with `--songs`, the training length]
+    #[arg(long, value_name = "T")]
+    pub num_frames: Option<usize>,
+    /// Folder of songs without motion (.flac, .mp3, .ogg, .wav), or one song, instead of held-out
+    /// phrases: checks, beat measures and diversity, but no distances to real motion
+    #[arg(long, value_name = "PATH")]
+    pub songs: Option<PathBuf>,
     /// Measure the dependence on the audio condition
     #[arg(long)]
     pub audio_ablation: bool,
@@ -83,4 +100,22 @@ pub struct EvalArguments {
     /// Replace a report of other settings in DIR
     #[arg(long)]
     pub overwrite: bool,
+}
+
+/// Samples of `--quick`.
+const QUICK_SAMPLES: usize = 20;
+
+/// Steps of `--quick`.
+const QUICK_STEPS: usize = 10;
+
+impl EvalArguments {
+    /// With the numbers of `--quick`.
+    #[must_use]
+    pub fn with_quick(mut self) -> Self {
+        if self.quick {
+            self.num_samples.get_or_insert(QUICK_SAMPLES);
+            self.sampler.steps.get_or_insert(QUICK_STEPS);
+        }
+        self
+    }
 }

@@ -94,7 +94,7 @@ pub struct MatchArguments {
     #[arg(long, value_name = "MOTION.bvh")]
     pub content: Option<PathBuf>,
     /// Lock feet while the examples' feet stand
-    #[arg(long, conflicts_with = "looping")]
+    #[arg(long)]
     pub lock_feet: bool,
     /// Write motion that is far livelier than the examples under its usual name, and exit with 0
     #[arg(long)]

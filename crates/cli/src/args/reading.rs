@@ -6,7 +6,7 @@ use kinegrad_capture::UpAxis;
 
 use super::values::named;
 
-/// Facts that BVH files do not contain.
+/// Facts that motion files do not contain, and the motion to read.
 #[derive(Debug, Args)]
 pub struct BvhArguments {
     /// Unit of BVH files: m, cm, mm, inch, cmu, or a number of meters [default: guessed from the
@@ -16,16 +16,14 @@ pub struct BvhArguments {
     /// Axis of BVH files that points up: y or z [default: guessed from the feet]
     #[arg(long, value_parser = named::<UpAxis>, value_name = "AXIS")]
     pub up: Option<UpAxis>,
-}
-
-/// Facts that motion files do not contain.
-#[derive(Debug, Args)]
-pub struct ReadingArguments {
-    #[command(flatten)]
-    pub bvh: BvhArguments,
-    /// Frames per second of joint positions whose skeleton is unknown
-    #[arg(long, default_value_t = 30.0, value_name = "FPS")]
-    pub fps: f64,
+    /// Number of the motion in a file of several, such as the results.npy of MDM and FlowMDM, from
+    /// 0 [default: 0]
+    #[arg(long, value_name = "N")]
+    pub index: Option<usize>,
+    /// Frames per second of joint positions and features [default: as in the record beside the file,
+    /// else 20 or 12.5, by the skeleton, and 30 for joints of an unknown skeleton]
+    #[arg(long, value_name = "FPS")]
+    pub fps: Option<f64>,
 }
 
 /// Parses a unit: a name, or a length in meters.

@@ -100,7 +100,7 @@ pub struct SamplerArguments {
     /// Use the trained weights instead of their exponential moving average
     #[arg(long)]
     pub no_ema: bool,
-    /// Device to run on [default: from the run's config]
+    /// Device to run on [default: KINEGRAD_DEVICE, else from the run's config]
     #[arg(long)]
     pub device: Option<String>,
 }

@@ -36,7 +36,7 @@ pub struct EmbedArguments {
     /// Replace an existing file
     #[arg(long)]
     pub overwrite: bool,
-    /// Device to run on
-    #[arg(long, default_value = "auto")]
-    pub device: String,
+    /// Device to run on [default: KINEGRAD_DEVICE, else auto]
+    #[arg(long)]
+    pub device: Option<String>,
 }

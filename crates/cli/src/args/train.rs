@@ -27,10 +27,10 @@ pub struct TrainArguments {
     /// Name of the run [default: `run.name`, else the config file's name]
     #[arg(long)]
     pub name: Option<String>,
-    /// Folder that contains the runs [default: runs]
+    /// Folder that contains the runs [default: KINEGRAD_RUNS_DIR, else runs]
     #[arg(long, value_name = "DIR")]
     pub runs_dir: Option<PathBuf>,
-    /// Training device, see `kinegrad devices` [default: `run.device`]
+    /// Training device, see `kinegrad devices` [default: KINEGRAD_DEVICE, else `run.device`]
     #[arg(long)]
     pub device: Option<String>,
     /// Resume the run in the folder RUN, or the config file's run, from the latest valid checkpoint

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::reading::ReadingArguments;
+use super::reading::BvhArguments;
 
 /// Arguments of `kinegrad view`.
 #[derive(Debug, Args)]
@@ -33,7 +33,7 @@ pub struct ViewArguments {
     #[arg(long)]
     pub raw: bool,
     #[command(flatten)]
-    pub reading: ReadingArguments,
+    pub reading: BvhArguments,
     /// Title of the page [default: the names of the motions]
     #[arg(long)]
     pub title: Option<String>,

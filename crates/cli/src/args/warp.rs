@@ -30,8 +30,8 @@ pub struct WarpArguments {
     /// Replace existing files
     #[arg(long)]
     pub overwrite: bool,
-    /// `stretch` covers the entire path at a changed speed; `own` keeps the motion's speed until
-    /// the path or the motion ends
+    /// `stretch` covers the entire path at a changed speed, or goes at the `speed` that the path
+    /// names; `own` keeps the motion's speed. Where the path ends first, the motion stands
     #[arg(long, value_parser = named::<ArcLengthMode>, default_value = "stretch")]
     pub along: ArcLengthMode,
     /// Heading of the body: `relative` turns with the direction of movement (side steps stay side

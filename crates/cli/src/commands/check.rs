@@ -135,7 +135,7 @@ fn statistics(
 }
 
 /// The bounds in a file.
-fn thresholds(path: &Path) -> Result<SanityThresholds, Error> {
+pub fn thresholds(path: &Path) -> Result<SanityThresholds, Error> {
     let (name, help) = (
         path.display().to_string(),
         "docs/config.md lists the keys of `evaluation.thresholds`",

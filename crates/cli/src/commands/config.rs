@@ -2,17 +2,22 @@
 
 use std::process::ExitCode;
 
-use kinegrad_train::{Error, Systems, config, memory, run};
+use kinegrad_train::config::EnvironmentSetting;
+use kinegrad_train::config::environment::runs_dir;
+use kinegrad_train::{Error, Systems, memory, run};
 
 use crate::args::ShowArguments;
 use crate::output;
 
-/// Prints the resolved config, with comments on the size of the model.
+/// Prints the resolved config, with comments on the size of the model and on the origin of each value.
 pub fn show(systems: Systems<'_>, arguments: ShowArguments) -> Result<ExitCode, Error> {
     let ShowArguments { config, overrides } = arguments;
-    let config = run::load_config(systems, &config, &overrides, &mut |missing| {
+    let environment = EnvironmentSetting::all()?;
+    let mut warn = |missing: &Error| {
         tell!("warning: {missing}; its networks and process are not shown");
-    })?;
+    };
+    let (config, origins) =
+        run::load_config(systems, &config, &overrides, &environment, &mut warn)?;
     for warning in systems.validate(&config)? {
         tell!("warning: {warning}");
     }
@@ -22,6 +27,8 @@ pub fn show(systems: Systems<'_>, arguments: ShowArguments) -> Result<ExitCode, 
     let needed = system.footprint(&config)?.of_training(&config, true);
     let needed = memory::size(needed);
     say!("# memory: about {needed} to train it on the CPU");
-    show!("{}", config::to_toml(&config).trim_end());
+    let (folder, origin) = runs_dir()?;
+    say!("# runs folder: {}  # {origin}", folder.display());
+    show!("{}", origins.annotated(&config).trim_end());
     Ok(ExitCode::SUCCESS)
 }

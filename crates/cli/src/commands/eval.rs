@@ -26,6 +26,7 @@ pub const BETTER: &str = "better";
 
 /// Evaluates each run, writes the reports and prints them.
 pub fn run(systems: Systems<'_>, arguments: EvalArguments) -> Result<ExitCode, Error> {
+    let arguments = arguments.with_quick();
     let group = process_group()?;
     let ranks = group.ranks();
     let outcome = match ranks.size() {
@@ -60,6 +61,9 @@ fn evaluate(
     let trajectory = arguments.trajectory_run.as_deref().map(checkpoint);
     let request = EvaluationRequest {
         source: arguments.source.clone(),
+        songs: arguments.songs.clone(),
+        num_samples: arguments.num_samples,
+        num_frames: arguments.num_frames,
         trajectory: trajectory.transpose()?,
         evaluator: None,
         seed: arguments.seed,
@@ -162,7 +166,13 @@ fn must_evaluate_the_same(
     let runs: String = models.iter().map(run).collect();
     let trajectory = request.trajectory.as_ref().map(weights);
     group.done(Ok(()))?;
-    let options = (&request.source, request.seed, request.audio_ablation);
+    let options = (
+        &request.source,
+        &request.songs,
+        [request.num_samples, request.num_frames],
+        request.seed,
+        request.audio_ablation,
+    );
     group.must_compute_alike()?;
     group.must_match(&[
         ("run", &runs),

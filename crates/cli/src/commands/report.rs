@@ -6,6 +6,7 @@ mod evaluation;
 mod facts;
 mod previews;
 mod samples;
+pub mod terms;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;

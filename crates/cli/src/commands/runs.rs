@@ -5,6 +5,7 @@ use std::process::ExitCode;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use kinegrad_report::table;
+use kinegrad_train::config::environment::runs_dir;
 use kinegrad_train::memory::size;
 use kinegrad_train::{Error, Systems};
 use serde_json::{Value, json};
@@ -28,6 +29,10 @@ const HEADER: [&str; 7] = [
 /// Lists the runs in a folder.
 pub fn run(systems: Systems<'_>, arguments: RunsArguments) -> Result<ExitCode, Error> {
     let RunsArguments { folder, json } = arguments;
+    let folder = match folder {
+        Some(folder) => folder,
+        None => runs_dir()?.0,
+    };
     // The first training makes the folder `runs`.
     if !folder.is_dir() && folder != Path::new(RUNS) {
         let message = format!("there is no folder {}", folder.display());

@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use kinegrad_report::rows;
 use kinegrad_train::checkpoint::{SavedCheckpoint, Weights, resolve_checkpoint};
+use kinegrad_train::config::environment;
 use kinegrad_train::sampling::{BestOf, Request, Summary};
 use kinegrad_train::{Error, ProcessGroup, Systems, TrainedModel};
 use serde::Serialize;
@@ -142,6 +143,10 @@ pub fn trained_for(
         false => Weights::Ema,
     };
     let (saved, local) = (checkpoint(run)?, group.ranks().local().rank);
+    let device = match device {
+        Some(device) => Some(device.clone()),
+        None => environment::device()?,
+    };
     systems.trained_on_rank(saved, &overrides, weights, device.as_deref(), local)
 }
 

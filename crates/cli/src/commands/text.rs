@@ -8,6 +8,7 @@ use kinegrad_data::file::read_text;
 use kinegrad_data::humanml::{read_captions, write_embeddings};
 use kinegrad_report::grouped;
 use kinegrad_settings::plural;
+use kinegrad_train::config::environment;
 use kinegrad_train::text_encoder::TextEncoder;
 use kinegrad_train::{Error, device};
 
@@ -26,7 +27,11 @@ pub fn embed(arguments: EmbedArguments) -> Result<ExitCode, Error> {
     must_be_new([out], &[], arguments.overwrite, "--out")?;
     let named = texts(&arguments)?;
     let texts = named.iter().flat_map(|(_, texts)| texts);
-    let (device, _) = device::open(&arguments.device)?;
+    let device = match &arguments.device {
+        Some(device) => Some(device.clone()),
+        None => environment::device()?,
+    };
+    let (device, _) = device::open(device.as_deref().unwrap_or("auto"))?;
     let encoder = TextEncoder::read(&arguments.text_encoder, &device)?;
     // Captions repeat.
     let mut distinct: Vec<&str> = texts.clone().map(String::as_str).collect();

@@ -9,6 +9,8 @@ use kinegrad_output::path_text;
 use kinegrad_report::facts;
 use kinegrad_settings::counted;
 use kinegrad_train::checkpoint::Weights;
+use kinegrad_train::config::EnvironmentSetting;
+use kinegrad_train::config::environment::runs_dir;
 use kinegrad_train::run::{self, Outcome, SAMPLES, TrainRequest, UNFINISHED_SAMPLES, remove};
 use kinegrad_train::sampling::{self, Request};
 use kinegrad_train::{Ending, Error, Systems};
@@ -35,7 +37,11 @@ pub fn run(systems: Systems<'_>, arguments: TrainArguments) -> Result<ExitCode, 
     let request = TrainRequest {
         target,
         overrides,
-        runs_dir: arguments.runs_dir.unwrap_or_else(|| "runs".into()),
+        environment: EnvironmentSetting::all()?,
+        runs_dir: match arguments.runs_dir {
+            Some(folder) => folder,
+            None => runs_dir()?.0,
+        },
         dry_run,
     };
     let started = Instant::now();
@@ -142,7 +148,7 @@ impl<'a> Summary<'a> {
                 Some(Ending::Interrupted) => "interrupted",
             },
             steps: outcome.step,
-            max_steps: outcome.config.train.max_steps,
+            max_steps: outcome.max_steps,
             best_step: outcome.progress.best_step,
             best_val_loss: outcome.progress.best_val_loss,
             seconds,

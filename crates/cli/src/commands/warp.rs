@@ -10,7 +10,7 @@ use kinegrad_motion::Statistics;
 use kinegrad_motion::feet::{ContactRule, Planted, lock_joints};
 use kinegrad_motion::humanml::{Extraction, Features, Joints, Skeleton};
 use kinegrad_motion::metrics::BodyQuality;
-use kinegrad_motion::path::{ArcLengthMode, PathPlan, PathReport, Warp};
+use kinegrad_motion::path::{ArcLengthMode, PathPlan, PathReport, Warp, Warped};
 use kinegrad_output::path_text;
 use kinegrad_report::table;
 use kinegrad_train::sampling::MeasuresRecord;
@@ -19,8 +19,8 @@ use serde::Serialize;
 
 use crate::args::WarpArguments;
 use crate::io::{
-    BvhReading, Content, MotionArray, bvh_file, exit_code, is_bvh, must_be_new, read_body, stem,
-    unusable_stem, with_ending, write_all,
+    BvhReading, Content, LEGS_SHORT, MotionArray, bvh_file, exit_code, is_bvh, must_be_new,
+    read_body, stem, unusable_stem, with_ending, write_all,
 };
 use crate::output::unusable;
 use crate::{folder, interrupt, output};
@@ -30,9 +30,6 @@ const MORE_SKATING: f64 = 0.1;
 
 /// Largest speed ratio of a stretched motion: steps that are longer leave the legs' reach.
 const LONGEST_STRIDE: f64 = 1.5;
-
-/// Largest missing leg length that causes no warning, meters.
-const LEGS_SHORT: f64 = 0.02;
 
 /// Advice about a motion that is not usable.
 const ADVICE: &str = "leave out `--sharp`, give a path with wider turns, or a motion without jumps";
@@ -53,6 +50,9 @@ struct Record {
     feet: Option<Feet>,
     frames: usize,
     fps: f64,
+    /// First frame in which the motion stands at the end of the path.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    stands_from: Option<usize>,
     /// Length of the path, meters.
     path_length: f64,
     /// Ratio of the root's speed after and before; 0 for a motion that stood.
@@ -86,6 +86,9 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
     let path = plan.polyline().map_err(unusable)?;
     let warp = Warp {
         along: arguments.along,
+        speed: plan
+            .speed
+            .filter(|_| arguments.along == ArcLengthMode::Stretch),
         turning: arguments.heading,
         smooth: !arguments.sharp,
         least_speed: match arguments.sharp {
@@ -95,25 +98,14 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
     };
     let warped = warp.apply(&joints, &skeleton, &path).map_err(unusable)?;
     if arguments.along == ArcLengthMode::Stretch {
-        must_be_in_reach(&joints, path.length(), warped.speed_ratio)?;
+        must_be_in_reach(&warped, path.length(), warp.speed)?;
     }
-    let frames = warped.course.frames();
-    if frames < 2 {
-        let message = format!(
-            "the path is {:.3} m long: the motion leaves it after its first frame",
-            path.length()
-        );
-        let hint = "give a longer path, or `--along stretch`";
-        return Err(Error::usage(message, hint));
-    }
-    let own = joints.as_slice()[..frames * joints.joints()].to_vec();
-    let own = Joints::new(own, joints.joints())?;
-    let floor = floor_of(&own);
+    let floor = floor_of(&joints);
     let lock = || {
         let rule = ContactRule::default();
         lock_joints(
             &warped.joints,
-            &own,
+            &warped.own,
             &skeleton,
             &rule,
             Planted::AsSeen,
@@ -140,11 +132,12 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
         path_sha256: Digest::of(text.as_bytes()).to_string(),
         warp,
         feet,
-        frames,
+        frames: moved.frames(),
         fps: skeleton.description().fps,
+        stands_from: warped.stands_from,
         path_length: path.length(),
         speed_ratio: warped.speed_ratio,
-        before: BodyQuality::of(&own, &skeleton, floor),
+        before: BodyQuality::of(&joints, &skeleton, floor),
         after: PathReport::of(&moved, &skeleton, &path, &warped.course, floor)?,
         body: MeasuresRecord::of(&moved, &skeleton, &Statistics::default()),
         path_content: plan,
@@ -167,31 +160,40 @@ pub fn run(systems: Systems<'_>, arguments: WarpArguments) -> Result<ExitCode, E
             record.summarize();
         }
     }
-    record.warn(joints.frames(), arguments.along);
+    record.warn(arguments.along);
     if !arguments.json {
         output::how_to_view(&outputs[..1], None);
     }
     Ok(exit_code(is_unusable.into(), "motion", ADVICE))
 }
 
-/// Refuses a path that a motion of `joints` would only reach by sliding.
-fn must_be_in_reach(joints: &Joints, length: f64, speed_ratio: f64) -> Result<(), Error> {
-    if speed_ratio > 0.0 && speed_ratio <= LONGEST_STRIDE {
+/// Refuses a path, or a `speed` along it, that the motion would only reach by sliding.
+fn must_be_in_reach(warped: &Warped, length: f64, speed: Option<f64>) -> Result<(), Error> {
+    let (ratio, frames) = (warped.speed_ratio, warped.joints.frames());
+    if ratio > 0.0 && ratio <= LONGEST_STRIDE {
         return Ok(());
     }
-    let walked = if speed_ratio > 0.0 {
-        length / speed_ratio
-    } else {
-        0.0
-    };
+    let end = warped.course.metres.last().copied().unwrap_or(0.0);
+    let walked = if ratio > 0.0 { end / ratio } else { 0.0 };
+    if let Some(speed) = speed.filter(|_| walked > 0.0) {
+        let own = speed / ratio;
+        let message = format!(
+            "the path's `speed` is {speed:.2} m/s and the motion walks {own:.2} m/s: its legs reach \
+             {LONGEST_STRIDE} times as far at most"
+        );
+        let hint = format!(
+            "set `speed` to at most {:.2}, or keep the motion's own with `--along own`",
+            LONGEST_STRIDE * own
+        );
+        return Err(Error::usage(message, hint));
+    }
     let message = format!(
-        "the path is {length:.2} m long and the motion walks {walked:.2} m in {} frames: its legs reach \
-         {LONGEST_STRIDE} times as far at most",
-        joints.frames()
+        "the path is {length:.2} m long and the motion walks {walked:.2} m in {frames} frames: its legs \
+         reach {LONGEST_STRIDE} times as far at most"
     );
     let hint = format!(
         "give a path of at most {:.2} m or a longer motion, or walk the beginning of the path with \
-         `--along own`",
+         `--along own`, or at the path's `speed`",
         LONGEST_STRIDE * walked
     );
     Err(Error::usage(message, hint))
@@ -217,11 +219,8 @@ fn read_path(arguments: &WarpArguments) -> Result<(String, PathPlan), Error> {
     let text = read_text(&arguments.path).map_err(|error| refused(format!("{file}: {error}")))?;
     let plan = PathPlan::read(&text, &file, arguments.metres_per_unit);
     let plan = plan.map_err(|error| refused(error.to_string()))?;
-    if plan.speed.is_some() {
-        tell!(
-            "note: {file}: `speed` is ignored: it is for generated motion, and here `--along` sets the \
-             speed"
-        );
+    if plan.speed.is_some() && arguments.along == ArcLengthMode::Own {
+        tell!("note: {file}: `speed` is ignored: `--along own` keeps the motion's speed");
     }
     Ok((text, plan))
 }
@@ -233,8 +232,11 @@ fn read_motion(
     reading: &BvhReading,
 ) -> Result<(Joints, Skeleton), Error> {
     let (joints, skeleton) = match is_bvh(path) {
-        true => (read_body(path, reading, false)?, Skeleton::humanml3d()),
-        false => MotionArray::read(systems, path)?.body()?,
+        true => {
+            reading.must_suit_bvh(path)?;
+            (read_body(path, reading, false)?, Skeleton::humanml3d())
+        }
+        false => MotionArray::read(systems, path, reading)?.body()?,
     };
     if joints.frames() < 2 {
         let message = format!("{} has a single frame", path.display());
@@ -304,12 +306,13 @@ impl Record {
     }
 
     /// Prints notes and warnings.
-    fn warn(&self, frames: usize, along: ArcLengthMode) {
-        if self.frames < frames {
+    fn warn(&self, along: ArcLengthMode) {
+        if let Some(frame) = self.stands_from {
             tell!(
-                "note: the path ends after {} of {frames} frames, at {:.2} m",
-                self.frames,
-                self.path_length
+                "note: the motion reaches the end of the path, {:.2} m, and stands there from frame \
+                 {frame} of {}",
+                self.path_length,
+                self.frames
             );
         }
         let skating = |body: &BodyQuality| body.foot_skating.unwrap_or(0.0);
@@ -317,12 +320,12 @@ impl Record {
         if after > before + MORE_SKATING {
             let ratio = self.speed_ratio;
             let other = match along {
-                ArcLengthMode::Stretch => format!(
+                ArcLengthMode::Stretch if self.warp.speed.is_none() => format!(
                     "; the root is {ratio:.2} times as fast: give a path of the motion's length \
                      ({:.2} m), or `--along own`",
                     self.path_length / ratio
                 ),
-                ArcLengthMode::Own => String::new(),
+                _ => String::new(),
             };
             tell!(
                 "warning: feet slide in {:.0} % of the frames, {:.0} % before{other}",

@@ -24,6 +24,9 @@ pub const CENTIMETRES: f64 = 100.0;
 /// Largest deviation of a BVH file from its motion without a note, meters.
 const EXACT: f64 = 1e-3;
 
+/// Largest distance of a locked foot from its place that causes no warning, meters.
+pub const LEGS_SHORT: f64 = 0.02;
+
 /// True for the name of a BVH file.
 pub fn is_bvh(path: &Path) -> bool {
     has_extension(path, "bvh")
@@ -71,13 +74,18 @@ pub fn read_body(path: &Path, reading: &BvhReading, retarget: bool) -> Result<Jo
     Ok(joints)
 }
 
-/// The unit and vertical axis of BVH files; absent values are guessed from the body.
+/// How a motion file is read: the unit and vertical axis of BVH files, where absent values are
+/// guessed from the body; and the motion.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct BvhReading {
     /// Length of a unit.
     pub units: Option<Units>,
     /// Axis that points up.
     pub up: Option<UpAxis>,
+    /// Number of the motion in a file of several.
+    pub index: Option<usize>,
+    /// Frames per second of an array.
+    pub fps: Option<f64>,
 }
 
 impl BvhReading {
@@ -86,7 +94,23 @@ impl BvhReading {
         Self {
             units: arguments.units,
             up: arguments.up,
+            index: arguments.index,
+            fps: arguments.fps,
         }
+    }
+
+    /// Refuses options that BVH files make superfluous.
+    pub fn must_suit_bvh(&self, path: &Path) -> Result<(), Error> {
+        let (path, hint) = (path.display(), "leave it out");
+        if let Some(index) = self.index.filter(|index| *index > 0) {
+            let message = format!("option `index {index}`, and {path} has one motion");
+            return Err(Error::usage(message, hint));
+        }
+        if let Some(fps) = self.fps {
+            let message = format!("option `fps {fps}`, and {path} has its own rate");
+            return Err(Error::usage(message, hint));
+        }
+        Ok(())
     }
 }
 
@@ -217,8 +241,10 @@ fn with_locked_feet(
         Planted::Still,
         0.0,
     )?;
-    let missed = Some(locked.missed).filter(|missed| *missed > EXACT);
-    let short = missed.map(|missed| format!("; legs are up to {missed:.3} m too short"));
+    let missed = Some(locked.missed).filter(|missed| *missed > LEGS_SHORT);
+    let short = missed.map(|missed| {
+        format!("; feet slide by up to {missed:.2} m in a contact, because the legs do not reach")
+    });
     let short = short.unwrap_or_default();
     tell!(
         "note: {}: feet stand in {:.0} % of the frames and slid by {:.2} m/s meanwhile, now by {:.2} \

@@ -8,7 +8,7 @@ use kinegrad_data::file::is_inside;
 use kinegrad_train::Error;
 
 /// Endings of companion files: other forms of a sample.
-const COMPANIONS: [&str; 3] = [".raw.npy", ".features.npy", ".path.npy"];
+pub const COMPANIONS: [&str; 3] = [".raw.npy", ".features.npy", ".path.npy"];
 
 /// A file's name without its folder and extension.
 pub fn file_stem(path: &Path) -> String {

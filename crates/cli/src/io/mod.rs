@@ -8,8 +8,8 @@ mod samples;
 mod unusable;
 
 pub use bvh::{
-    BvhReading, CENTIMETRES, Capture, as_bvh, bvh_file, bvh_text, is_bvh, is_foot, names,
-    read_body, read_bvh, read_figures, unit_and_axis,
+    BvhReading, CENTIMETRES, Capture, LEGS_SHORT, as_bvh, bvh_file, bvh_text, is_bvh, is_foot,
+    names, read_body, read_bvh, read_figures, unit_and_axis,
 };
 pub use find::{file_stem, files_in, has_extension, is_companion, motion_files, with_raw};
 pub use motion::{Motion, MotionArray, not_finite};

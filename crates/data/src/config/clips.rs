@@ -14,6 +14,10 @@ pub(super) fn validate(data: &DataConfig) -> Result<(), InvalidSetting> {
     let lengths = least..=crate::MAX_FRAMES;
     in_range("data.humanml3d.min_frames", clips.min_frames, lengths)
         .hint("40 for HumanML3D, 24 for KIT-ML; at least `data.humanml3d.unit_frames`")?;
+    if let Some(fps) = clips.fps {
+        in_range("data.humanml3d.fps", fps, 1.0..=1000.0)
+            .hint("20 for HumanML3D, 12.5 for KIT-ML, 30 for BABEL")?;
+    }
     let longer = clips.min_frames + 1..;
     in_range("data.humanml3d.max_frames", clips.max_frames, longer).hint(
         "more than `data.humanml3d.min_frames`; clips of max_frames and more are left out: 200 \

@@ -10,13 +10,16 @@ use serde::{Deserialize, Serialize};
 /// Reading of the clips of `kind = "humanml3d"` and `kind = "synthetic_walks"`.
 ///
 /// The defaults are the values for HumanML3D; for KIT-ML, set `skeleton` and `min_frames = 24`.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Humanml3dConfig {
     /// Representation of the root in batches.
     pub root: Root,
     /// Skeleton of the features.
     pub skeleton: SkeletonName,
+    /// Frames per second of the clips. Omitted: the skeleton's, 20 or 12.5; BABEL has 30.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fps: Option<f64>,
     /// File in the dataset with the ids of the training clips, one per line.
     pub train_list: String,
     /// File with the ids of the held-out clips; empty for none.
@@ -45,6 +48,7 @@ impl Default for Humanml3dConfig {
         Self {
             root: Root::Absolute,
             skeleton: SkeletonName::Humanml3d,
+            fps: None,
             train_list: "train.txt".to_owned(),
             validation_list: "val.txt".to_owned(),
             test_list: "test.txt".to_owned(),
@@ -122,10 +126,19 @@ pub enum CaptionRule {
 }
 
 impl Humanml3dConfig {
+    /// The skeleton, at the rate of the clips.
+    pub fn skeleton(&self) -> Skeleton {
+        let skeleton = self.skeleton.skeleton();
+        match self.fps {
+            Some(fps) => skeleton.at_rate(fps),
+            None => skeleton,
+        }
+    }
+
     /// Representation of the rows of a batch.
     pub fn representation(&self) -> JointFeatures {
         JointFeatures {
-            skeleton: self.skeleton.skeleton(),
+            skeleton: self.skeleton(),
             root: self.root,
         }
     }
@@ -138,6 +151,8 @@ impl Humanml3dConfig {
 
 #[cfg(test)]
 mod tests {
+    use kinegrad_motion::Representation as _;
+
     use super::*;
     use crate::Error;
     use crate::{DataConfig, DataKind};
@@ -174,10 +189,29 @@ mod tests {
     }
 
     #[test]
+    fn clips_have_a_rate_of_their_own() {
+        let rate = |text: &str| {
+            let config: Humanml3dConfig = toml::from_str(text).unwrap();
+            (
+                config.skeleton().description().fps,
+                config.representation().fps(),
+            )
+        };
+        assert_eq!(rate(""), (20.0, 20.0));
+        assert_eq!(rate("skeleton = 'kit'"), (12.5, 12.5));
+        assert_eq!(rate("fps = 30"), (30.0, 30.0));
+        // Configs without the key stay as they were.
+        let text = toml::to_string(&Humanml3dConfig::default()).unwrap();
+        assert!(!text.contains("fps"), "{text}");
+    }
+
+    #[test]
     fn what_clips_cannot_have_is_refused_by_its_key() {
         type Change = fn(&mut DataConfig);
-        let cases: [(&str, Change); 17] = [
+        let cases: [(&str, Change); 19] = [
             ("data.source", |c| c.source = None),
+            ("data.humanml3d.fps", |c| c.humanml3d.fps = Some(0.0)),
+            ("data.humanml3d.fps", |c| c.humanml3d.fps = Some(f64::NAN)),
             ("data.humanml3d.unit_frames", |c| {
                 c.humanml3d.unit_frames = 0
             }),

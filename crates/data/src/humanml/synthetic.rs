@@ -28,20 +28,24 @@ pub fn synthetic_id(index: usize) -> String {
 /// frames per second, with captions. The words of a caption determine its unit-length embedding.
 /// Panics if `frames` is zero.
 pub fn walk(index: usize, frames: usize, seed: u64) -> Clip {
+    walk_of(&Skeleton::humanml3d(), index, frames, seed)
+}
+
+/// [`walk`] of a skeleton with the joints of HumanML3D, at its rate.
+fn walk_of(skeleton: &Skeleton, index: usize, frames: usize, seed: u64) -> Clip {
     let key = Key::new(seed, Purpose::Synthetic)
         .named("walk")
         .at(index as u64);
-    let skeleton = Skeleton::humanml3d();
     let seconds = frames as f64 / skeleton.description().fps;
     let plan = Plan::new(key, seconds);
     // Every row of features needs the next frame.
-    let joints = walk::joints(&plan.course(), &skeleton, frames + 1);
+    let joints = walk::joints(&plan.course(), skeleton, frames + 1);
     let joints = Joints::new(joints, skeleton.joints()).expect("whole finite frames");
     let extraction = Extraction {
         rescale: false,
         ..Extraction::default()
     };
-    let features = extraction.features(&skeleton, &joints);
+    let features = extraction.features(skeleton, &joints);
     Clip {
         id: synthetic_id(index),
         features: features.expect("joints of the skeleton"),
@@ -179,6 +183,8 @@ pub(super) struct Walks {
     config: SyntheticConfig,
     conditional: bool,
     min_frames: usize,
+    /// Frames per second; the skeleton's if absent.
+    fps: Option<f64>,
 }
 
 impl Walks {
@@ -188,14 +194,21 @@ impl Walks {
             config: config.synthetic.clone(),
             conditional,
             min_frames: config.humanml3d.min_frames,
+            fps: config.humanml3d.fps,
         }
     }
 }
 
 impl ItemSource<Clip> for Walks {
     fn read(&self, request: ReadRequest<'_>) -> Result<ReadItem<Clip>, FileError> {
-        let mut clip = walk(request.number, self.config.frames, self.config.seed);
-        clip.drop_short_captions(Skeleton::humanml3d().description().fps, self.min_frames);
+        let skeleton = Skeleton::humanml3d();
+        let skeleton = match self.fps {
+            Some(fps) => skeleton.at_rate(fps),
+            None => skeleton,
+        };
+        let SyntheticConfig { frames, seed, .. } = self.config;
+        let mut clip = walk_of(&skeleton, request.number, frames, seed);
+        clip.drop_short_captions(skeleton.description().fps, self.min_frames);
         if !self.conditional {
             clip.captions
                 .iter_mut()
@@ -205,7 +218,16 @@ impl ItemSource<Clip> for Walks {
     }
 
     fn fingerprint(&self) -> String {
-        format!("{self:?}")
+        let Self {
+            config,
+            conditional,
+            min_frames,
+            fps,
+        } = self;
+        let rate = fps.map(|fps| format!(" at {fps} fps")).unwrap_or_default();
+        format!(
+            "Walks {{ config: {config:?}, conditional: {conditional:?}, min_frames: {min_frames:?} }}{rate}"
+        )
     }
 }
 

@@ -12,11 +12,21 @@ const MAX_AXES: usize = 64;
 /// NumPy's alignment of the data for memory mapping.
 const ALIGNMENT: usize = 64;
 
+/// The type of an array's elements.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Dtype {
+    /// float32.
+    Single,
+    /// float64.
+    Double,
+    /// Python objects, pickled.
+    Objects,
+}
+
 /// A parsed header.
 #[derive(Debug, PartialEq)]
 pub(super) struct Header {
-    /// True for double precision, false for single precision.
-    pub(super) double: bool,
+    pub(super) dtype: Dtype,
     /// True if the first axis is the fastest, false if the last axis is.
     pub(super) fortran_order: bool,
     pub(super) shape: Vec<usize>,
@@ -54,16 +64,10 @@ pub(super) fn read(bytes: &[u8], file: &str) -> Result<Header, FileError> {
     };
     let (text, data_start) = text(bytes).map_err(not_npy)?;
     let [descr, fortran_order, shape] = entries(text).map_err(not_npy)?;
-    let double = match descr {
-        "'<f4'" | "\"<f4\"" => false,
-        "'<f8'" | "\"<f8\"" => true,
-        _ if descr.contains('O') => {
-            let problem = format!("dtype {descr} found: Python objects, not numbers");
-            let hint = "results of other programs are often a dictionary; in Python: \
-                        found = numpy.load(path, allow_pickle=True).item(); \
-                        numpy.save(\"clip.npy\", found[\"motion\"][0].transpose(2, 0, 1).astype(\"<f4\"))";
-            return Err(FileError::unusable(file, problem, hint));
-        }
+    let dtype = match descr {
+        "'<f4'" | "\"<f4\"" => Dtype::Single,
+        "'<f8'" | "\"<f8\"" => Dtype::Double,
+        "'|O'" | "\"|O\"" | "'O'" => Dtype::Objects,
         _ => {
             let problem = format!(
                 "dtype {descr} found, little-endian float32 ('<f4') or float64 ('<f8') allowed"
@@ -88,7 +92,7 @@ pub(super) fn read(bytes: &[u8], file: &str) -> Result<Header, FileError> {
         .try_fold(1u64, |product, &axis| product.checked_mul(axis as u64))
         .ok_or_else(|| not_npy(TOO_LARGE.to_owned()))?;
     Ok(Header {
-        double,
+        dtype,
         fortran_order,
         shape,
         length,

@@ -34,7 +34,7 @@ pub enum SamplerKind {
     /// DDIM: deterministic at `eta` 0, suitable for few steps.
     Ddim(Ddim),
     /// DDPM (ancestral sampling): samples from the posterior in every step.
-    Ddpm(Timesteps),
+    Ddpm(Ddpm),
     /// DPM-Solver++ (2M): deterministic, second order.
     #[serde(rename = "dpmpp_2m")]
     Dpmpp2m(Timesteps),
@@ -63,6 +63,17 @@ pub struct Ddim {
     /// Recompute the noise from the clipped motion after clipping. The source keeps the network's
     /// noise, which is inconsistent with the clipped motion.
     pub recompute_epsilon: bool,
+}
+
+/// The settings of DDPM.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
+#[schemars(default)]
+pub struct Ddpm {
+    /// The visited and the guided timesteps.
+    #[serde(flatten)]
+    pub timesteps: Timesteps,
+    /// The variance of a step.
+    pub variance_type: VarianceType,
 }
 
 /// The visited and the guided timesteps of a sampler of a diffusion process.
@@ -110,6 +121,20 @@ pub enum TimestepSpacing {
     Trailing,
 }
 
+/// The fixed variance of a step of DDPM (CC-MotionGen, section 5.2; Ho et al. 2020,
+/// <https://arxiv.org/abs/2006.11239>, section 3.2). In both, a step to the clean motion has
+/// variance 0.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum VarianceType {
+    /// The posterior variance, `beta (1 - abar') / (1 - abar)`: the smallest choice, right for data
+    /// of one point.
+    #[default]
+    FixedSmall,
+    /// `beta`: the largest choice, right for normally distributed data.
+    FixedLarge,
+}
+
 /// The end of the last step of DDIM.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -144,12 +169,22 @@ impl Default for Ddim {
     }
 }
 
+impl From<Timesteps> for Ddpm {
+    /// DDPM of these timesteps with the default variance.
+    fn from(timesteps: Timesteps) -> Self {
+        Self {
+            timesteps,
+            ..Self::default()
+        }
+    }
+}
+
 impl SamplerKind {
     /// The settings of the timesteps; `None` for samplers of flows only.
     pub fn timesteps(&self) -> Option<&Timesteps> {
         match self {
             Self::Ddim(Ddim { timesteps, .. })
-            | Self::Ddpm(timesteps)
+            | Self::Ddpm(Ddpm { timesteps, .. })
             | Self::Dpmpp2m(timesteps)
             | Self::Heun(timesteps) => Some(timesteps),
             Self::Euler | Self::Midpoint | Self::Dopri5(_) => None,

@@ -2,6 +2,7 @@
 
 use burn::tensor::Tensor;
 
+use super::config::Ddpm;
 use super::noise::NoiseKeys;
 use super::path::TimestepPath;
 use super::posterior::Posterior;
@@ -10,7 +11,7 @@ use super::{OnStep, continue_or_stop};
 use crate::{Error, GaussianDiffusion};
 
 /// Samples by DDPM along `path` (Ho et al. 2020, <https://arxiv.org/abs/2006.11239>), with the
-/// steering of the predictions.
+/// steering of the predictions. `variance_type` is read from `config`.
 ///
 /// # Shapes
 /// - x_T, output: `[batch, channels, time]`
@@ -22,6 +23,7 @@ pub fn ddpm(
     predict: &mut Predict<'_, '_>,
     x_T: Tensor<3>,
     path: &TimestepPath,
+    config: &Ddpm,
     keys: NoiseKeys<'_>,
     on_step: &mut OnStep<'_>,
 ) -> Result<Tensor<3>, Error> {
@@ -37,7 +39,8 @@ pub fn ddpm(
             .as_ref()
             .filter(|steered| steered.imputation.is_some())
             .map(|_| keys.noise(index, Some("imputation"), &prediction.x_t));
-        x = ddpm_step(diffusion, &prediction, now, &next, noise, imputation_noise);
+        let noises = [noise, imputation_noise];
+        x = ddpm_step(diffusion, &prediction, now, &next, noises, config);
         continue_or_stop(on_step(index + 1, path.num_steps(), &x))?;
     }
     Ok(x)
@@ -47,7 +50,7 @@ pub fn ddpm(
 /// (CC-MotionGen, section 3.2.4; docs/sources.md, section 1.3; Ho et al. 2020,
 /// <https://arxiv.org/abs/2006.11239>, equations 6 and 7).
 ///
-/// A jump over several timesteps is a step of the respaced process (Nichol and Dhariwal 2021,
+/// `variance_type` is read from `config`. A jump over several timesteps is a step of the respaced process (Nichol and Dhariwal 2021,
 /// <https://arxiv.org/abs/2102.09672>, equation 19) with the beta `1 - abar / abar'`. A sample
 /// whose step ends at the clean motion gets no noise. The source decides by the first sample.
 ///
@@ -68,8 +71,10 @@ pub fn ddpm(
 /// If the network predicts noise, known values replace entries of the sample. `imputation_noise`
 /// first noises the known values to the level of `prev_timesteps`.
 ///
+/// The noises are those of the step and of imputed values.
+///
 /// # Shapes
-/// - noise, imputation_noise, both standard normal, output: `[batch, channels, time]`
+/// - both noises, standard normal, output: `[batch, channels, time]`
 ///
 /// # Panics
 /// Panics unless each sample has one timestep before and one after the step, all below the
@@ -79,14 +84,14 @@ pub fn ddpm_step(
     prediction: &Prediction<'_>,
     timesteps: &[usize],
     prev_timesteps: &[Option<usize>],
-    noise: Option<Tensor<3>>,
-    imputation_noise: Option<Tensor<3>>,
+    [noise, imputation_noise]: [Option<Tensor<3>>; 2],
+    config: &Ddpm,
 ) -> Tensor<3> {
     // abar, abar'   alpha-bar_t, alpha-bar_{t-1}: before and after the step
     // beta          beta_t of the jump; 1 - beta = alpha_t = abar / abar'
     // coef1, coef2  factors of x_0 and x_t in the posterior mean, mu-tilde_t
-    // sigma         square root of the posterior variance, beta-tilde_t
-    let posterior = Posterior::of(diffusion, timesteps, prev_timesteps);
+    // sigma         square root of the step's variance: beta-tilde_t, or beta
+    let posterior = Posterior::of(diffusion, timesteps, prev_timesteps, config.variance_type);
 
     // 1. mean = beta sqrt(abar') / (1 - abar) x_0 + (1 - abar') sqrt(alpha) / (1 - abar) x_t.
     let (x_start, x_t) = (prediction.x_start.clone(), prediction.x_t.clone());

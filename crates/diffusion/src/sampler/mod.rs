@@ -31,8 +31,8 @@ use burn::tensor::Tensor;
 
 pub use clip::ClipRange;
 pub use config::{
-    Ddim, Dopri5, FinalAlpha, SamplerConfig, SamplerKind, TimestepSpacing, Timesteps, must_suit,
-    must_suit_flow,
+    Ddim, Ddpm, Dopri5, FinalAlpha, SamplerConfig, SamplerKind, TimestepSpacing, Timesteps,
+    VarianceType, must_suit, must_suit_flow,
 };
 pub use ddim::{ddim, ddim_step};
 pub use ddpm::{ddpm, ddpm_step};
@@ -119,7 +119,7 @@ pub fn sample_with(
     let path = TimestepPath::of(config, num_train_timesteps, x_T.dims()[0]);
     match &config.kind {
         SamplerKind::Ddim(ddim) => self::ddim(diffusion, predict, x_T, &path, ddim, keys, on_step),
-        SamplerKind::Ddpm(_) => ddpm(diffusion, predict, x_T, &path, keys, on_step),
+        SamplerKind::Ddpm(ddpm) => self::ddpm(diffusion, predict, x_T, &path, ddpm, keys, on_step),
         SamplerKind::Dpmpp2m(_) => dpmpp_2m(diffusion, predict, x_T, &path, on_step),
         SamplerKind::Heun(_) => heun(diffusion, predict, x_T, &path, on_step),
         kind => unreachable!("refused above: {kind}"),

@@ -2,6 +2,7 @@
 
 use burn::tensor::Tensor;
 
+use super::config::VarianceType;
 use crate::GaussianDiffusion;
 use crate::per_sample::per_sample;
 
@@ -28,7 +29,7 @@ pub(super) fn coefficients(
         .collect()
 }
 
-/// `q(x' | x_t, x_0)` of a jump, with one value per sample.
+/// `q(x' | x_t, x_0)` of a jump, with one value per sample and a variance of choice.
 #[derive(Clone, Debug)]
 pub(crate) struct Posterior {
     /// Factor of x_0 in the mean.
@@ -40,11 +41,12 @@ pub(crate) struct Posterior {
 }
 
 impl Posterior {
-    /// The posteriors of the samples' jumps.
+    /// The posteriors of the samples' jumps, with variances of `variance_type`.
     pub fn of(
         diffusion: &GaussianDiffusion,
         timesteps: &[usize],
         prev_timesteps: &[Option<usize>],
+        variance_type: VarianceType,
     ) -> Self {
         let of = |value: &dyn Fn(Alphas) -> f64| {
             coefficients(diffusion, timesteps, prev_timesteps, value)
@@ -55,7 +57,7 @@ impl Posterior {
                 let alpha = a.abar / a.abar_prev;
                 a.one_minus_abar_prev * alpha.sqrt() / a.one_minus_abar
             }),
-            variance: of(&|a| a.posterior_variance().max(0.0)),
+            variance: of(&|a| a.variance(variance_type).max(0.0)),
         }
     }
 
@@ -92,5 +94,14 @@ impl Alphas {
     /// The posterior variance of the jump, `beta (1 - abar') / (1 - abar)`.
     pub fn posterior_variance(self) -> f64 {
         self.beta() * self.one_minus_abar_prev / self.one_minus_abar
+    }
+
+    /// The variance of a step of DDPM; 0 for a jump to the clean motion.
+    fn variance(self, variance_type: VarianceType) -> f64 {
+        match variance_type {
+            VarianceType::FixedSmall => self.posterior_variance(),
+            VarianceType::FixedLarge if self.one_minus_abar_prev > 0.0 => self.beta(),
+            VarianceType::FixedLarge => 0.0,
+        }
     }
 }

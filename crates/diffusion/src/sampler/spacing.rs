@@ -48,10 +48,11 @@ mod tests {
     ];
 
     fn spaced(timestep_spacing: TimestepSpacing, steps: usize, total: usize) -> Vec<usize> {
-        let kind = SamplerKind::Ddpm(Timesteps {
+        let kind = Timesteps {
             timestep_spacing,
             guidance_until: 0,
-        });
+        };
+        let kind = SamplerKind::Ddpm(kind.into());
         timesteps(&SamplerConfig::new(kind, steps), total)
     }
 

@@ -4,7 +4,8 @@ use serde::de::Error;
 use serde::{Deserialize, Deserializer};
 
 use super::config::{
-    Ddim, Dopri5, FinalAlpha, SamplerConfig, SamplerKind, TimestepSpacing, Timesteps,
+    Ddim, Ddpm, Dopri5, FinalAlpha, SamplerConfig, SamplerKind, TimestepSpacing, Timesteps,
+    VarianceType,
 };
 
 /// The names of [`SamplerKind`].
@@ -35,6 +36,7 @@ struct Table {
     eta: f64,
     final_alpha: FinalAlpha,
     recompute_epsilon: bool,
+    variance_type: VarianceType,
     tolerance: Option<f64>,
 }
 
@@ -51,6 +53,7 @@ impl Default for Table {
             eta: ddim.eta,
             final_alpha: ddim.final_alpha,
             recompute_epsilon: ddim.recompute_epsilon,
+            variance_type: VarianceType::default(),
             tolerance: None,
         }
     }
@@ -62,8 +65,9 @@ impl Table {
     fn refuse_keys_of_other_kinds(&self) -> Result<(), String> {
         let usual = Self::default();
         let is_ddim = matches!(self.kind, Kind::Ddim);
+        let is_ddpm = matches!(self.kind, Kind::Ddpm);
         let is_dopri5 = matches!(self.kind, Kind::Dopri5);
-        let visits = is_ddim || matches!(self.kind, Kind::Ddpm | Kind::Dpmpp2m | Kind::Heun);
+        let visits = is_ddim || is_ddpm || matches!(self.kind, Kind::Dpmpp2m | Kind::Heun);
         let spaced = self.timestep_spacing != usual.timestep_spacing;
         let recomputes = self.recompute_epsilon != usual.recompute_epsilon;
         let keys = [
@@ -84,6 +88,11 @@ impl Table {
                 self.final_alpha != usual.final_alpha,
             ),
             ("recompute_epsilon", is_ddim, recomputes),
+            (
+                "variance_type",
+                is_ddpm,
+                self.variance_type != usual.variance_type,
+            ),
             ("tolerance", is_dopri5, self.tolerance.is_some()),
         ];
         let Some((key, ..)) = keys.iter().find(|(_, own, set)| *set && !own) else {
@@ -117,7 +126,10 @@ impl<'de> Deserialize<'de> for SamplerConfig {
                     final_alpha: table.final_alpha,
                     recompute_epsilon: table.recompute_epsilon,
                 }),
-                Kind::Ddpm => SamplerKind::Ddpm(timesteps),
+                Kind::Ddpm => SamplerKind::Ddpm(Ddpm {
+                    timesteps,
+                    variance_type: table.variance_type,
+                }),
                 Kind::Dpmpp2m => SamplerKind::Dpmpp2m(timesteps),
                 Kind::Heun => SamplerKind::Heun(timesteps),
                 Kind::Euler => SamplerKind::Euler,
@@ -153,7 +165,8 @@ mod tests {
         for table in [
             json!({"kind": "ddim", "eta": 0.5, "final_alpha": "first", "recompute_epsilon": false,
                 "timestep_spacing": "ccmotion", "guidance_until": 7}),
-            json!({"kind": "ddpm", "timestep_spacing": "leading", "guidance_until": 7}),
+            json!({"kind": "ddpm", "timestep_spacing": "leading", "guidance_until": 7,
+                "variance_type": "fixed_large"}),
             json!({"kind": "dpmpp_2m", "timestep_spacing": "linspace", "guidance_until": 0}),
             json!({"kind": "heun", "timestep_spacing": "trailing", "guidance_until": 7}),
             json!({"kind": "euler"}),
@@ -179,6 +192,7 @@ mod tests {
     fn keys_of_other_kinds_are_refused_by_name() {
         for (table, key) in [
             (json!({"kind": "ddpm", "eta": 0.5}), "eta"),
+            (json!({"variance_type": "fixed_large"}), "variance_type"),
             (
                 json!({"kind": "heun", "final_alpha": "first"}),
                 "final_alpha",
@@ -216,7 +230,7 @@ mod tests {
         let table = json!({"kind": "ddpm", "num_inference_steps": 20, "eta": 0.0,
             "guidance_scale": 1.0, "guidance_until": 0, "timestep_spacing": "linspace",
             "final_alpha": "one", "recompute_epsilon": true});
-        let ddpm = SamplerKind::Ddpm(Timesteps::default());
+        let ddpm = SamplerKind::Ddpm(Ddpm::default());
         assert_eq!(read(table), Ok(SamplerConfig::new(ddpm, 20)));
     }
 }

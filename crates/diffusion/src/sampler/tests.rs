@@ -67,7 +67,7 @@ fn kinds(timesteps: Timesteps, eta: f64) -> [SamplerKind; 4] {
     };
     [
         SamplerKind::Ddim(ddim),
-        SamplerKind::Ddpm(timesteps),
+        SamplerKind::Ddpm(timesteps.into()),
         SamplerKind::Dpmpp2m(timesteps),
         SamplerKind::Heun(timesteps),
     ]
@@ -79,7 +79,7 @@ fn ddim(eta: f64, num_inference_steps: usize) -> SamplerConfig {
 }
 
 fn ddpm(num_inference_steps: usize) -> SamplerConfig {
-    let ddpm = SamplerKind::Ddpm(Timesteps::default());
+    let ddpm = SamplerKind::Ddpm(Ddpm::default());
     SamplerConfig::new(ddpm, num_inference_steps)
 }
 
@@ -461,4 +461,56 @@ fn a_schedule_that_ends_in_pure_noise_can_be_sampled() {
         let x = run(&diffusion, &Knows(&diffusion), &normal(7), &config, key(3));
         assert!(largest(x - normal(7)) < 1e-4, "{}", config.kind);
     }
+}
+
+#[test]
+fn the_larger_variance_of_ddpm_is_beta_and_changes_samples() {
+    let diffusion = process(20, PredictionType::Sample);
+    let of = |variance_type| {
+        let kind = SamplerKind::Ddpm(Ddpm {
+            variance_type,
+            ..Ddpm::default()
+        });
+        let config = SamplerConfig::new(kind, 20);
+        run(&diffusion, &Waves, &(), &config, key(3))
+    };
+    let [small, large] = [VarianceType::FixedSmall, VarianceType::FixedLarge].map(of);
+    assert!(largest(large - small.clone()) > 1e-4);
+    let usual = run(&diffusion, &Waves, &(), &ddpm(20), key(3));
+    assert_eq!(usual.into_data(), small.into_data());
+
+    let step = |t: usize, variance_type| {
+        let zeros = || Tensor::<3>::zeros(SHAPE, &Device::flex());
+        let prediction =
+            Prediction::new(&diffusion, zeros(), zeros(), &[t; 2], &ClipRange::None).unwrap();
+        let config = Ddpm {
+            variance_type,
+            ..Ddpm::default()
+        };
+        let noise = Some(Tensor::ones(SHAPE, &Device::flex()));
+        let before = [t.checked_sub(1); 2];
+        let x = ddpm_step(
+            &diffusion,
+            &prediction,
+            &[t; 2],
+            &before,
+            [noise, None],
+            &config,
+        );
+        f64::from(largest(x)).powi(2)
+    };
+    for t in [1, 7, 19] {
+        let schedule = &diffusion.schedule;
+        let found = [VarianceType::FixedSmall, VarianceType::FixedLarge].map(|v| step(t, v));
+        for (found, expected) in found
+            .iter()
+            .zip([schedule.posterior_variance[t], schedule.betas[t]])
+        {
+            assert!(
+                (found / expected - 1.0).abs() < 1e-5,
+                "{t}: {found} {expected}"
+            );
+        }
+    }
+    assert_eq!(step(0, VarianceType::FixedLarge), 0.0, "the clean motion");
 }

@@ -366,6 +366,37 @@ fn feet_are_locked_where_those_of_the_example_rest() {
 }
 
 #[test]
+fn feet_of_a_loop_are_locked_across_its_seam() {
+    let standing = Job {
+        lock_feet: true,
+        ..job()
+    };
+    let mut example = swaying(0.0);
+    example.bvh = standing.make(&[example.clone()]).unwrap().bvh;
+    for seed in 0..3 {
+        let job = Job {
+            settings: Settings {
+                looping: Looping::Even,
+                ..job().settings
+            },
+            seed,
+            ..standing.clone()
+        };
+        let made = job.make(&[example.clone()]).unwrap();
+        let slid = made.sliding.unwrap();
+        assert!(slid.after < 0.1 * slid.before, "{seed}: {slid:?}");
+        let (foot, n) = (made.bvh.joint("LeftFoot").unwrap(), made.bvh.frames());
+        let place = |t: usize| {
+            let [x, _, z] = made.bvh.world(t % n)[foot].position;
+            [x, 0.0, z]
+        };
+        let step = |t: usize| length(minus(place(t + 1), place(t)));
+        let largest = (0..n - 1).map(step).fold(0.0, f64::max);
+        assert!(step(n - 1) <= largest, "{seed}: {} {largest}", step(n - 1));
+    }
+}
+
+#[test]
 fn feet_that_creep_in_every_attempt_are_locked() {
     // A body that stands on locked feet and sways.
     let standing = Job {

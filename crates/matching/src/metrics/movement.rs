@@ -1,7 +1,7 @@
 //! Physical measures of a new motion beside those of its examples.
 
 use kinegrad_capture::{Bvh, RootPose};
-use kinegrad_motion::vector::length;
+use kinegrad_motion::vector::{length, minus};
 use serde::Serialize;
 
 use super::quality::{Liveliest, Quality};
@@ -12,6 +12,8 @@ use crate::{MotionMatrix, feet, jerks, percentile_95};
 const LOW: f64 = 0.03;
 /// Percentile of a toe's heights in the examples that is the floor.
 const FLOOR: f64 = 0.05;
+/// Displacement of a motion in place, in body heights.
+const STRAY: f64 = 0.1;
 /// Speed of a still frame, as a part of the examples' median.
 const STILL: f64 = 0.1;
 
@@ -129,6 +131,12 @@ impl Reference {
             fastest_joint: all().map(|each| each.fastest_joint).fold(0.0, f64::max),
         };
         Some(reference)
+    }
+
+    /// True if a root trajectory ends less than a tenth of the body's height from its start.
+    pub(crate) fn strays(&self, path: &[[f64; 3]]) -> bool {
+        let ends = path.first().zip(path.last());
+        ends.is_some_and(|(a, b)| length(minus(*b, *a)) < STRAY * self.height)
     }
 
     /// A motion beside the examples.

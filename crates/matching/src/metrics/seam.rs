@@ -63,7 +63,7 @@ impl Seam {
     }
 
     /// Maximum of step and velocity.
-    pub fn jump(&self) -> f64 {
+    pub fn jump(self) -> f64 {
         self.step.max(self.velocity)
     }
 }

@@ -1,6 +1,6 @@
 //! Foot sliding.
 
-use kinegrad_motion::feet::{Leg, sliding};
+use kinegrad_motion::feet::{Leg, Standing, sliding};
 use serde::Serialize;
 
 /// Foot sliding in contact, before and after locking.
@@ -26,22 +26,22 @@ impl Sliding {
         }
     }
 
-    /// Sliding of legs in motions `[frames][joints]` with contacts `[legs][frames]`.
+    /// Sliding of legs in motions `[frames][joints]` whose contacts are those of `standing`.
     pub(crate) fn of(
         before: &[Vec<[f64; 3]>],
         after: &[Vec<[f64; 3]>],
         legs: &[Leg],
-        contacts: &[Vec<bool>],
+        standing: &Standing<'_>,
         frame_time: f64,
     ) -> Self {
         let speed = |places: &[Vec<[f64; 3]>]| {
             let of = |(leg, contacts): (&Leg, &Vec<bool>)| {
                 let path: Vec<[f64; 3]> = places.iter().map(|frame| frame[leg.sole]).collect();
-                sliding(&path, contacts) / frame_time
+                sliding(&path, contacts, standing.up) / frame_time
             };
-            legs.iter().zip(contacts).map(of).sum::<f64>() / legs.len() as f64
+            legs.iter().zip(standing.contacts).map(of).sum::<f64>() / legs.len() as f64
         };
-        let flags = contacts.concat();
+        let flags = standing.contacts.concat();
         let in_contact = flags.iter().filter(|&&contact| contact).count();
         Self {
             in_contact: in_contact as f64 / flags.len() as f64,

@@ -1,7 +1,7 @@
 use burn::module::{Module, Param};
 use burn::tensor::Tensor;
 use burn::tensor::activation::softmax;
-use kinegrad_kernels::{Convolution, gelu, product, self_attention};
+use kinegrad_kernels::{Convolution, Lengths, gelu, product, self_attention, stored};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -36,6 +36,9 @@ pub struct EncoderLayerConfig {
     /// attention and linear maps, and between the linear maps.
     pub dropout: f64,
 }
+
+/// Amount by which the score of an unseen token is lower; its weight is 0 in single precision.
+const UNSEEN: f64 = 1e9;
 
 /// Number of dropouts in a layer.
 const DROPOUTS: usize = 4;
@@ -87,21 +90,22 @@ impl SelfAttention {
     ///
     /// # Shapes
     /// - x, output: `[batch, width, tokens]`
-    fn heads(&self, x: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
+    fn heads(&self, x: Tensor<3>, seen: Option<&Lengths>, dropout: DropoutKey) -> Tensor<3> {
         let projected = Convolution::new(self.in_proj_weight.val().unsqueeze_dim(2), 1)
             .bias(self.in_proj_bias.val())
+            .recomputed()
             .forward(x);
         let [batch, _, tokens] = projected.dims();
         let shape = [batch, self.num_heads, tokens, tokens];
         let mask = self.dropout.mask(shape, &projected.device(), dropout);
         match mask {
-            Some(mask) => masked_attention(projected, self.num_heads, mask),
-            None => self_attention(projected, self.num_heads, None),
+            Some(mask) => masked_attention(projected, self.num_heads, seen, mask),
+            None => self_attention(projected, self.num_heads, seen),
         }
     }
 }
 
-/// [`self_attention`] with attention weights multiplied by a mask.
+/// [`self_attention`] to the tokens that are `seen`, with attention weights multiplied by a mask.
 ///
 /// # Shapes
 /// - queries_keys_values: `[batch, 3 width, tokens]`
@@ -110,6 +114,7 @@ impl SelfAttention {
 fn masked_attention(
     queries_keys_values: Tensor<3>,
     num_heads: usize,
+    seen: Option<&Lengths>,
     mask: Tensor<4>,
 ) -> Tensor<3> {
     let [batch, all, tokens] = queries_keys_values.dims();
@@ -118,6 +123,13 @@ fn masked_attention(
     let [queries, keys, values] =
         [0, 1, 2].map(|part| heads.clone().narrow(1, part * num_heads, num_heads));
     let scores = product(queries.swap_dims(2, 3), keys) / (head as f64).sqrt();
+    let scores = match seen {
+        Some(seen) => {
+            let seen = seen.mask(tokens, &scores.device()).unsqueeze_dim::<4>(1);
+            scores + (seen - 1.0) * UNSEEN
+        }
+        None => scores,
+    };
     let weights = softmax(scores, 3) * mask;
     product(values, weights.swap_dims(2, 3)).reshape([batch, all / 3, tokens])
 }
@@ -147,31 +159,51 @@ impl EncoderLayer {
     /// # Shapes
     /// - x, output: `[batch, width, tokens]`
     pub fn forward(&self, x: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
+        self.forward_seeing(x, None, dropout)
+    }
+
+    /// [`forward`](Self::forward) in which the tokens of each sample attend to its first tokens
+    /// alone, as many as are `seen`.
+    ///
+    /// # Shapes
+    /// As [`forward`](Self::forward).
+    pub fn forward_seeing(
+        &self,
+        x: Tensor<3>,
+        seen: Option<&Lengths>,
+        dropout: DropoutKey,
+    ) -> Tensor<3> {
         match self.norm {
             NormOrder::Post => {
                 let h = self
                     .norm1
-                    .forward_tokens(self.attended(x.clone(), x, dropout));
+                    .forward_tokens(self.attended(x.clone(), x, seen, dropout));
                 self.norm2
                     .forward_tokens(self.mapped(h.clone(), h, dropout))
             }
             NormOrder::Pre => {
-                let h = self.attended(x.clone(), self.norm1.forward_tokens(x), dropout);
+                let h = self.attended(x.clone(), self.norm1.forward_tokens(x), seen, dropout);
                 self.mapped(h.clone(), self.norm2.forward_tokens(h), dropout)
             }
         }
     }
 
     /// `residual + attention(x)`.
-    fn attended(&self, residual: Tensor<3>, x: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
-        let heads = self.self_attn.heads(x, dropout);
+    fn attended(
+        &self,
+        residual: Tensor<3>,
+        x: Tensor<3>,
+        seen: Option<&Lengths>,
+        dropout: DropoutKey,
+    ) -> Tensor<3> {
+        let heads = self.self_attn.heads(x, seen, dropout);
         let map = &self.self_attn.out_proj;
         added(residual, map, heads, &self.attended, dropout)
     }
 
     /// `residual + linear2(gelu(linear1(x)))`.
     fn mapped(&self, residual: Tensor<3>, x: Tensor<3>, dropout: DropoutKey) -> Tensor<3> {
-        let h = gelu(self.linear1.forward_frames(x));
+        let h = gelu(self.linear1.operation().recomputed().forward(x));
         let h = self.between.forward(h, dropout);
         added(residual, &self.linear2, h, &self.mapped, dropout)
     }
@@ -186,7 +218,7 @@ fn added(
     key: DropoutKey,
 ) -> Tensor<3> {
     match dropout.drops(key) {
-        true => dropout.forward(map.forward_frames(x), key) + residual,
+        true => stored(dropout.forward(map.forward_frames(x), key) + residual),
         false => map.forward_frames_onto(residual, x),
     }
 }
@@ -211,6 +243,42 @@ mod tests {
         let x = Tensor::from_data(TensorData::new(values, [2, 12, 5]), &Device::flex());
         let y = sizes.init(1, &init).forward(x, key);
         y.try_into_vec_as::<f32>().expect("float32")
+    }
+
+    #[test]
+    fn tokens_attend_to_the_seen_ones_alone() {
+        let init = Initializer::new(5, &Device::flex());
+        let sizes = |dropout| EncoderLayerConfig {
+            width: 12,
+            num_heads: 3,
+            ff_size: 20,
+            norm: NormOrder::Post,
+            dropout,
+        };
+        let values: Vec<f32> = (0..2 * 12 * 5).map(|i| (i as f32 * 0.7).sin()).collect();
+        let x = Tensor::<3>::from_data(TensorData::new(values, [2, 12, 5]), &Device::flex());
+        let other = x.clone().narrow(2, 0, 4);
+        let other = Tensor::cat(vec![other, x.clone().narrow(2, 4, 1) + 1.0], 2);
+        // The second path computes the attention with a mask of dropout, which drops nothing.
+        for (dropout, key) in [(0.0, None), (1e-12, Some(Key::new(1, Purpose::Dropout)))] {
+            let layer = sizes(dropout).init(1, &init);
+            let seen = Lengths::new([5, 4]);
+            let run = |x: Tensor<3>| layer.forward_seeing(x, Some(&seen), key);
+            let change = (run(x.clone()) - run(other.clone())).abs().max_dim(1);
+            let change = change.try_into_vec_as::<f32>().expect("float32");
+            assert!(
+                change[..5].iter().all(|change| *change > 1e-6),
+                "{change:?}"
+            );
+            assert!(
+                change[5..9].iter().all(|change| *change == 0.0),
+                "{change:?}"
+            );
+            let all = Lengths::new([5, 5]);
+            let whole = layer.forward_seeing(x.clone(), Some(&all), key);
+            let apart = (whole - layer.forward(x.clone(), key)).abs().max();
+            assert!(apart.into_scalar::<f32>() < 1e-5);
+        }
     }
 
     #[test]

@@ -64,7 +64,8 @@ impl Linear {
         self.operation().residual(residual).forward(x)
     }
 
-    fn operation(&self) -> Convolution {
+    /// The map of every frame as an operation that can be fused with others.
+    pub fn operation(&self) -> Convolution {
         let weight = self.effective_weight().unsqueeze_dim(2);
         Convolution::new(weight, 1).bias(self.bias.val())
     }
@@ -141,20 +142,31 @@ impl Unbiased {
         }
     }
 
+    /// The map with zeros as initial weight.
+    #[must_use]
+    pub fn zeroed(self, init: &Initializer) -> Self {
+        Self {
+            weight: init.constant(self.weight.lazy_shape().dims::<2>(), 0.0),
+        }
+    }
+
+    /// The map of every frame as an operation that can be fused with others.
+    pub fn operation(&self) -> Convolution {
+        Convolution::new(self.weight.val().unsqueeze_dim(2), 1)
+    }
+
     /// The map of every frame.
     ///
     /// # Shapes
     /// - x: `[batch, in, time]`
     /// - output: `[batch, out, time]`
     pub fn forward_frames(&self, x: Tensor<3>) -> Tensor<3> {
-        Convolution::new(self.weight.val().unsqueeze_dim(2), 1).forward(x)
+        self.operation().forward(x)
     }
 
     /// [`forward_frames`](Self::forward_frames), added to `residual`, `[batch, out, time]`.
     pub fn forward_frames_onto(&self, residual: Tensor<3>, x: Tensor<3>) -> Tensor<3> {
-        Convolution::new(self.weight.val().unsqueeze_dim(2), 1)
-            .residual(residual)
-            .forward(x)
+        self.operation().residual(residual).forward(x)
     }
 }
 

@@ -3,6 +3,7 @@
 //! [`crate::parameters`] maps field names to state-dict names. `at_n` becomes `n`, for child `n` of
 //! a torch `Sequential`; `a_at_b` becomes `a.b`. A field `flat_x` is not part of a name.
 
+mod batch_norm;
 mod bi_gru;
 mod conv1d;
 mod conv_transpose1d;
@@ -12,6 +13,7 @@ mod group_norm;
 mod layer_norm;
 mod linear;
 
+pub use batch_norm::{BATCH_NORM_EPS, BatchNorm};
 pub use bi_gru::{BiGru, GruStates};
 pub use conv_transpose1d::ConvTranspose1d;
 pub use conv1d::Conv1d;

@@ -1,5 +1,7 @@
 //! The values of the measures.
 
+use super::statue::longest_statue;
+use super::time_direction::time_direction;
 use super::{BodyMeasure, BodyValue};
 use crate::derivatives::jerk_of;
 use crate::humanml::{FaceJoints, Joints, Skeleton};
@@ -13,6 +15,9 @@ const STILL_SPEED: f64 = 0.02;
 
 /// Added to the speed of the limbs in [`BodyMeasure::Glide`], metres per second.
 const GLIDE_OFFSET: f64 = 0.05;
+
+/// Mean speed of the root on the ground from which on a body travels, metres per second.
+const TRAVELLING: f64 = 0.5;
 
 /// Height of the lowest joint over its usual lowest one above which a body is in flight, metres.
 const FLIGHT: f64 = 0.1;
@@ -45,6 +50,8 @@ impl BodyMeasure {
             let [x, _, z] = step(t, 0);
             fps * x.hypot(z)
         };
+        let travelling_speed =
+            || steps.clone().map(root_speed).sum::<f64>() / steps.len().max(1) as f64;
         let each = || {
             steps
                 .clone()
@@ -122,8 +129,14 @@ impl BodyMeasure {
                 let around =
                     |(t, joint): (usize, usize)| fps * length(minus(step(t, joint), step(t, 0)));
                 let limbs = each().map(around).sum::<f64>() / each().count().max(1) as f64;
-                let root = steps.clone().map(root_speed).sum::<f64>() / steps.len().max(1) as f64;
-                (frames > 1).then(|| mean(root / (limbs + GLIDE_OFFSET)))
+                (frames > 1).then(|| mean(travelling_speed() / (limbs + GLIDE_OFFSET)))
+            }
+            Self::Statue => Some(mean(longest_statue(joints, skeleton?, fps))),
+            Self::TimeDirection => {
+                let [left, _, right, _] = skeleton?.contact_joints();
+                let travels = travelling_speed() >= TRAVELLING;
+                let value = travels.then(|| time_direction(joints, [left, right], fps));
+                Some(mean(value.unwrap_or(0.0)))
             }
             Self::Skating => {
                 let [_, left, _, right] = skeleton?.contact_joints();

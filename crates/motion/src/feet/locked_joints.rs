@@ -1,16 +1,12 @@
 //! The feet of a skeleton's joints.
 
-use super::ease::Foot;
-use super::{ContactRule, bend, corrections, sliding};
+use super::{ContactRule, Leg, Standing, lock, sliding};
 use crate::humanml::{FeatureError, Joints, Skeleton};
 use crate::metrics::SKATING_SPEED;
-use crate::vector::{length, minus, plus};
+use crate::vector::minus;
 
-/// Seconds over which the correction of a still foot fades: five frames at 20 frames per second.
-const STILL_SECONDS: f64 = 0.25;
-
-/// Seconds over which an eased correction fades where no contact follows: about a step.
-const STEP_SECONDS: f64 = 0.4;
+/// Seconds over which a correction fades where no contact follows: about a step.
+pub const STEP_SECONDS: f64 = 0.4;
 
 /// Joints whose feet are locked in contact.
 #[derive(Clone, Debug)]
@@ -30,7 +26,7 @@ pub struct LockedJoints {
 /// What a planted foot does.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
 pub enum Planted {
-    /// It stays where it is.
+    /// It stays in its place on the ground, unless it is about to leave the contact.
     Still,
     /// It moves over the ground as in the motion in which contacts are found; slow steps are left
     /// out.
@@ -38,8 +34,7 @@ pub enum Planted {
 }
 
 /// Locks the feet of `joints` where `rule` finds contacts above `floor` in `seen`, the joints
-/// themselves or their source. With [`Planted::AsSeen`] heights stay as they are: a foot out of reach
-/// slides.
+/// themselves or their source. Heights change as those of `seen`: a foot out of reach slides.
 ///
 /// # Errors
 /// [`FeatureError::LengthMismatch`] unless both are the same frames of joints of `skeleton`.
@@ -56,60 +51,55 @@ pub fn lock_joints(
     FeatureError::unless_equal("frames", joints.frames(), seen.frames())?;
     let fps = skeleton.description().fps;
     let legs = skeleton.legs();
-    let frames = (0..joints.frames()).map(|t| joints.frame(t).to_vec());
-    let mut frames: Vec<Vec<[f64; 3]>> = frames.collect();
     let turns: Vec<f64> = (0..joints.frames())
         .map(|t| turn(seen.frame(t), joints.frame(t)))
         .collect();
-    let (mut standing, mut before, mut after, mut missed) = (0, 0.0, 0.0, 0.0_f64);
-    for leg in &legs {
-        let own = seen.track(leg.sole);
-        let contacts = rule.contacts(&own, fps, floor);
-        let path = joints.track(leg.sole);
-        let step = |path: &[[f64; 3]], t: usize| minus(path[t + 1], path[t]);
-        // A step of the source, turned as the body is and without slow sliding.
-        let kept = |t: usize| {
-            let ([x, y, z], turn) = (step(&own, t), 0.5 * (turns[t] + turns[t + 1]));
-            let speed = x.hypot(z) * fps / SKATING_SPEED;
-            let share = (2.0 * speed - 1.0).clamp(0.0, 1.0);
-            let (sin, cos) = turn.sin_cos();
-            [share * (x * cos + z * sin), y, share * (z * cos - x * sin)]
+    let contacts: Vec<Vec<bool>> = (legs.iter())
+        .map(|leg| rule.contacts(&seen.track(leg.sole), fps, floor))
+        .collect();
+    let quick = match planted {
+        Planted::Still => rule.lasting * rule.speed,
+        Planted::AsSeen => SKATING_SPEED,
+    };
+    // A step of the source, turned as the body is and without slow sliding.
+    let step = |sole: usize, t: usize| {
+        let [x, y, z] = minus(seen.frame(t + 1)[sole], seen.frame(t)[sole]);
+        let share = (2.0 * x.hypot(z) * fps / quick - 1.0).clamp(0.0, 1.0);
+        let (sin, cos) = (0.5 * (turns[t] + turns[t + 1])).sin_cos();
+        [share * (x * cos + z * sin), y, share * (z * cos - x * sin)]
+    };
+    let of_leg = |leg: &Leg| {
+        (0..joints.frames() - 1)
+            .map(|t| step(leg.sole, t))
+            .collect()
+    };
+    let standing = Standing {
+        contacts: &contacts,
+        steps: &legs.iter().map(of_leg).collect::<Vec<_>>(),
+        fade: STEP_SECONDS * fps,
+        up: 1,
+    };
+    let frames = (0..joints.frames()).map(|t| joints.frame(t).to_vec());
+    let frames: Vec<Vec<[f64; 3]>> = frames.collect();
+    let locked = lock(&frames, skeleton.parents(), &legs, &standing);
+    let speed = |frames: &[Vec<[f64; 3]>]| {
+        let of = |(leg, contacts): (&Leg, &Vec<bool>)| {
+            let path: Vec<[f64; 3]> = frames.iter().map(|frame| frame[leg.sole]).collect();
+            sliding(&path, contacts, standing.up) * fps
         };
-        let by = match planted {
-            Planted::Still => {
-                let by = corrections(&path, &contacts, (STILL_SECONDS * fps).round() as usize);
-                let wanted = path.iter().zip(&by).map(|(place, by)| plus(*place, *by));
-                (by.clone(), wanted.collect::<Vec<_>>())
-            }
-            Planted::AsSeen => {
-                let steps = 0..path.len().saturating_sub(1);
-                let foot = Foot {
-                    unwanted: steps.map(|t| minus(step(&path, t), kept(t))).collect(),
-                    contacts: &contacts,
-                    reachable: |t: usize, by| leg.reachable(joints.frame(t), by),
-                };
-                let by = foot.corrections(STEP_SECONDS * fps);
-                missed = missed.max(foot.missed(&by));
-                (by, Vec::new())
-            }
-        };
-        for (frame, by) in frames.iter_mut().zip(by.0) {
-            bend(frame, skeleton.parents(), leg, by);
-        }
-        let left = frames.iter().zip(by.1);
-        let left = left.map(|(frame, wanted)| length(minus(wanted, frame[leg.sole])));
-        missed = left.fold(missed, f64::max);
-        let locked: Vec<[f64; 3]> = frames.iter().map(|frame| frame[leg.sole]).collect();
-        before += sliding(&path, &contacts) * fps / legs.len() as f64;
-        after += sliding(&locked, &contacts) * fps / legs.len() as f64;
-        standing += contacts.into_iter().filter(|&contact| contact).count();
-    }
+        legs.iter().zip(&contacts).map(of).sum::<f64>() / legs.len().max(1) as f64
+    };
+    let in_contact = contacts
+        .iter()
+        .flatten()
+        .filter(|contact| **contact)
+        .count();
     Ok(LockedJoints {
-        in_contact: standing as f64 / (legs.len() * joints.frames()).max(1) as f64,
-        before,
-        after,
-        missed,
-        joints: Joints::new(frames.concat(), joints.joints())?,
+        in_contact: in_contact as f64 / (legs.len() * joints.frames()).max(1) as f64,
+        before: speed(&frames),
+        after: speed(&locked.positions),
+        missed: locked.missed.iter().copied().fold(0.0, f64::max),
+        joints: Joints::new(locked.positions.concat(), joints.joints())?,
     })
 }
 
@@ -128,10 +118,10 @@ fn turn(from: &[[f64; 3]], to: &[[f64; 3]]) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Leg;
     use super::*;
     use crate::humanml::walk::{Course, joints as walk};
     use crate::metrics::{BodyQuality, skating_ratio};
+    use crate::vector::length;
 
     /// A walk whose joints slide by `slide` metres per second, and to the left. With a backward
     /// slide the strides are longer than the path, so the legs reach every contact position.
@@ -177,12 +167,12 @@ mod tests {
         );
         assert!(locked.before > 0.3, "{}", locked.before);
         assert!(
-            locked.after < 1e-6 && locked.missed < 1e-9,
+            locked.after < 0.02 * locked.before && locked.missed < 0.02,
             "{} {}",
             locked.after,
             locked.missed
         );
-        // During a contact, a sole stays within a millimetre of one place.
+        // During a contact, a sole stays within two centimetres of one place.
         let fps = skeleton.description().fps;
         let mut places = 0;
         for leg in skeleton.legs() {
@@ -192,7 +182,7 @@ mod tests {
                 places += 1;
                 let first = path[run.start];
                 let moved = path[run.clone()].iter().map(|p| length(minus(*p, first)));
-                assert!(moved.fold(0.0, f64::max) < 1e-3);
+                assert!(moved.fold(0.0, f64::max) < 0.02);
             }
         }
         assert!(places >= 4, "{places}");
@@ -232,6 +222,26 @@ mod tests {
         let own = skates(&sliding_walk(&skeleton, 0.0));
         let (before, after) = (skates(&quick), skates(&quick_held.joints));
         assert!(before > 0.9 && after < own + 0.05, "{before} {after} {own}");
+    }
+
+    #[test]
+    fn still_feet_do_not_snap() {
+        let skeleton = Skeleton::humanml3d();
+        for slide in [-0.3, -0.15, 0.0, 0.1] {
+            let slid = sliding_walk(&skeleton, slide);
+            let rule = ContactRule::default();
+            let locked = lock_joints(&slid, &slid, &skeleton, &rule, Planted::Still, 0.0).unwrap();
+            let [before, after] = [&slid, &locked.joints].map(|joints| {
+                BodyQuality::of(joints, &skeleton, 0.0)
+                    .jerk_largest
+                    .unwrap()
+            });
+            println!(
+                "{slide}: {before} {after} {} {}",
+                locked.before, locked.after
+            );
+            assert!(after < 1.3 * before, "{slide}: {before} {after}");
+        }
     }
 
     #[test]
@@ -343,7 +353,7 @@ mod tests {
             0.0,
         )
         .unwrap();
-        assert!(locked.after < 1e-6 && locked.joints != flying);
+        assert!(locked.after < 0.02 * locked.before && locked.joints != flying);
         let short = Joints::new(walk.as_slice()[..22].to_vec(), 22).unwrap();
         assert!(
             lock_joints(

@@ -1,8 +1,8 @@
 //! Locking of feet to the ground during contact, by two-bone inverse kinematics.
 //!
-//! Averaged, learned or edited motion lets feet slide. [`lock`] moves a foot in contact to its mean
-//! position during that contact. Hip and knee rotate to follow; joints below the ankle move without
-//! rotation. Before and after a contact the correction fades within a few frames.
+//! Averaged, learned or edited motion lets feet slide. [`lock`] cancels the steps that a foot should
+//! not make in contact, with a correction that is eased over its whole step. Hip and knee rotate to
+//! follow; joints below the ankle move without rotation.
 //!
 //! [`ContactRule::contacts`] finds contacts; [`lock_joints`] does both for joints of a skeleton.
 
@@ -14,13 +14,12 @@ mod locked_joints;
 mod tests;
 
 pub use contacts::{ContactRule, StepRule, runs, steps, without_short_runs};
-pub use locked_joints::{LockedJoints, Planted, lock_joints};
-
-use std::ops::Range;
+pub use locked_joints::{LockedJoints, Planted, STEP_SECONDS, lock_joints};
 
 use crate::Quaternion;
 use crate::rotation::between;
 use crate::vector::{length, minus, plus};
+use ease::Foot;
 
 /// Largest length of a bent leg as a share of its bones, so that the knee keeps its side.
 /// Straighter legs stay straight.
@@ -70,16 +69,22 @@ impl Leg {
     }
 
     /// The nearest correction of the sole's position in `frame` that the leg reaches without
-    /// lifting the foot: its ground position gives way before its height (+y up).
-    fn reachable(&self, frame: &[[f64; 3]], by: [f64; 3]) -> [f64; 3] {
+    /// lifting the foot: its ground position gives way before its height, along axis `up`.
+    fn reachable(&self, frame: &[[f64; 3]], by: [f64; 3], up: usize) -> [f64; 3] {
         let [_, longest] = self.reach(frame, SUPPLE);
         let now = minus(frame[self.ankle], frame[self.hip]);
-        let [x, y, z] = plus(now, by);
+        let mut place = plus(now, by);
         // A height that is out of reach stays as it was.
-        let y = if y.abs() < longest { y } else { now[1] };
-        let (ground, most) = (x.hypot(z), (longest * longest - y * y).max(0.0).sqrt());
+        if place[up].abs() >= longest {
+            place[up] = now[up];
+        }
+        let height = place[up];
+        let most = (longest * longest - height * height).max(0.0).sqrt();
+        let ground = length(on_ground(place, up));
         let share = if ground > most { most / ground } else { 1.0 };
-        minus([share * x, y, share * z], now)
+        place = place.map(|value| share * value);
+        place[up] = height;
+        minus(place, now)
     }
 }
 
@@ -93,6 +98,19 @@ pub struct Turns {
     pub knee: Quaternion,
 }
 
+/// What feet do in contact.
+#[derive(Clone, Copy, Debug)]
+pub struct Standing<'a> {
+    /// True in contact, `[legs][frames]`.
+    pub contacts: &'a [Vec<bool>],
+    /// The steps to the next frame that soles make in contact, `[legs][frames - 1]`.
+    pub steps: &'a [Vec<[f64; 3]>],
+    /// Frames over which a correction fades where no contact follows.
+    pub fade: f64,
+    /// The axis of heights.
+    pub up: usize,
+}
+
 /// A motion with locked feet.
 #[derive(Clone, Debug)]
 pub struct Locked {
@@ -100,37 +118,42 @@ pub struct Locked {
     pub positions: Vec<Vec<[f64; 3]>>,
     /// Rotations of the legs, `[legs][frames]`.
     pub turns: Vec<Vec<Turns>>,
-    /// Distance of each sole from a contact position out of reach, `[legs][frames]`.
-    pub missed: Vec<Vec<f64>>,
+    /// Largest distance of each sole from its place within a contact, `[legs]`.
+    pub missed: Vec<f64>,
 }
 
-/// Locks every leg's sole in `positions`, `[frames][joints]`, during `contacts`, `[legs][frames]`.
-/// Corrections fade within `blend` frames before and after. `parents` precede their children. Legs
-/// approach positions out of reach as far as possible.
+/// Locks every leg's sole in `positions`, `[frames][joints]`. `parents` precede their children. Legs
+/// approach positions out of reach as far as possible, without lifting the foot.
 pub fn lock(
     positions: &[Vec<[f64; 3]>],
     parents: &[Option<usize>],
     legs: &[Leg],
-    contacts: &[Vec<bool>],
-    blend: usize,
+    standing: &Standing<'_>,
 ) -> Locked {
-    assert_eq!(legs.len(), contacts.len(), "contacts of each leg");
     let mut locked = positions.to_vec();
     let mut turns = Vec::with_capacity(legs.len());
     let mut missed = Vec::with_capacity(legs.len());
-    for (leg, contacts) in legs.iter().zip(contacts) {
+    let of_legs = standing.contacts.iter().zip(standing.steps);
+    for (leg, (contacts, wanted)) in legs.iter().zip(of_legs) {
         assert_eq!(contacts.len(), positions.len(), "a contact for each frame");
-        let path: Vec<[f64; 3]> = positions.iter().map(|frame| frame[leg.sole]).collect();
-        let corrections = corrections(&path, contacts, blend);
-        let bent = locked.iter_mut().zip(path).zip(corrections);
-        let bent = bent.map(|((frame, place), by)| {
-            let turns = bend(frame, parents, leg, by);
-            let left = minus(plus(place, by), frame[leg.sole]);
-            (turns, length(left))
-        });
-        let (of_leg, left) = bent.unzip();
-        turns.push(of_leg);
-        missed.push(left);
+        let made = positions
+            .windows(2)
+            .map(|pair| minus(pair[1][leg.sole], pair[0][leg.sole]));
+        let foot = Foot {
+            unwanted: made
+                .zip(wanted)
+                .map(|(made, wanted)| minus(made, *wanted))
+                .collect(),
+            contacts,
+            reachable: |t: usize, by| leg.reachable(&positions[t], by, standing.up),
+        };
+        let by = foot.corrections(standing.fade);
+        missed.push(foot.missed(&by));
+        let bent = locked.iter_mut().zip(by);
+        turns.push(
+            bent.map(|(frame, by)| bend(frame, parents, leg, by))
+                .collect(),
+        );
     }
     Locked {
         positions: locked,
@@ -139,49 +162,22 @@ pub fn lock(
     }
 }
 
-/// Mean step of a `path`, `[frames]`, between frames in contact; 0 without contacts.
-pub fn sliding(path: &[[f64; 3]], contacts: &[bool]) -> f64 {
+/// A vector without its height.
+pub fn on_ground(mut vector: [f64; 3], up: usize) -> [f64; 3] {
+    vector[up] = 0.0;
+    vector
+}
+
+/// Mean step over the ground of a `path`, `[frames]`, between frames in contact; 0 without contacts.
+/// `up`: the axis of heights.
+pub fn sliding(path: &[[f64; 3]], contacts: &[bool], up: usize) -> f64 {
     let steps = path.windows(2).zip(contacts.windows(2));
     let steps = steps.filter(|(_, contacts)| contacts[0] && contacts[1]);
     let (sum, count) = steps.fold((0.0, 0), |(sum, count), (pair, _)| {
-        (sum + length(minus(pair[1], pair[0])), count + 1)
+        let step = on_ground(minus(pair[1], pair[0]), up);
+        (sum + length(step), count + 1)
     });
     sum / f64::from(count.max(1))
-}
-
-/// Corrections of a path, `[frames]`, to the mean position of each contact.
-fn corrections(path: &[[f64; 3]], contacts: &[bool], blend: usize) -> Vec<[f64; 3]> {
-    let frames = path.len();
-    let runs = runs(contacts);
-    let mut by = vec![[0.0; 3]; frames];
-    for (index, &Range { start: first, end }) in runs.iter().enumerate() {
-        let contact = path[first..end].iter();
-        let sum = contact.fold([0.0; 3], |sum, &p| plus(sum, p));
-        let still = sum.map(|value| value / (end - first) as f64);
-        for t in first..end {
-            by[t] = minus(still, path[t]);
-        }
-        // A fade ends before the next contact.
-        let before = index.checked_sub(1).map_or(0, |index| runs[index].end);
-        let after = runs.get(index + 1).map_or(frames, |run| run.start);
-        let (reach, edge) = (blend.min(first - before), minus(still, path[first]));
-        for (back, by) in by[first - reach..first].iter_mut().rev().enumerate() {
-            let weight = fade(back + 1, reach);
-            *by = plus(*by, edge.map(|value| weight * value));
-        }
-        let (reach, edge) = (blend.min(after - end), minus(still, path[end - 1]));
-        for (on, by) in by[end..end + reach].iter_mut().enumerate() {
-            let weight = fade(on + 1, reach);
-            *by = plus(*by, edge.map(|value| weight * value));
-        }
-    }
-    by
-}
-
-/// The fade: 1 at a contact, 0 beyond the reach, smooth at both.
-fn fade(distance: usize, reach: usize) -> f64 {
-    let part = distance as f64 / (reach + 1) as f64;
-    1.0 - part * part * (3.0 - 2.0 * part)
 }
 
 /// Moves the ankle and all joints below by `by` in one frame; bones keep their lengths.

@@ -49,6 +49,17 @@ impl Skeleton {
         })
     }
 
+    /// The same skeleton with clips of `fps` frames per second.
+    ///
+    /// # Panics
+    /// Unless `fps` is a positive number.
+    #[must_use]
+    pub fn at_rate(mut self, fps: f64) -> Self {
+        assert!(fps.is_finite() && fps > 0.0, "{fps} frames per second");
+        self.description.fps = fps;
+        self
+    }
+
     /// The description.
     pub fn description(&self) -> &SkeletonDescription {
         &self.description

@@ -81,10 +81,19 @@ impl Path {
 /// The joints `[frames, 22, 3]` of a walk along `course`, metres, for HumanML3D's `skeleton`.
 pub fn joints(course: &Course, skeleton: &Skeleton, frames: usize) -> Vec<Point> {
     let fps = skeleton.description().fps;
-    let path = Path::new(course, frames as f64 / fps);
-    let walker = Walker::new(course, skeleton, frames as f64 / fps);
-    let pose = |frame: usize| walker.pose(&path, frame as f64 / fps);
-    (0..frames).flat_map(pose).collect()
+    let times: Vec<f64> = (0..frames).map(|frame| frame as f64 / fps).collect();
+    joints_at(course, skeleton, frames as f64 / fps, &times)
+}
+
+/// The same at other `times` within a walk of so many `seconds`. A walk whose time runs faster at the
+/// end of each step lands as people do; [`joints`] lift and land alike.
+pub fn joints_at(course: &Course, skeleton: &Skeleton, seconds: f64, times: &[f64]) -> Vec<Point> {
+    let path = Path::new(course, seconds);
+    let walker = Walker::new(course, skeleton, seconds);
+    times
+        .iter()
+        .flat_map(|time| walker.pose(&path, *time))
+        .collect()
 }
 
 /// Sizes of a walker.

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Polyline, STILL, between};
+use crate::humanml::Joints;
 
 /// Arc length along a path over the frames of a motion.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
@@ -11,7 +12,7 @@ pub enum ArcLengthMode {
     /// The full path, in the trajectory's proportions. A standing motion advances evenly.
     #[default]
     Stretch,
-    /// The motion's own arc length and speed, until the path or the motion ends.
+    /// The motion's own arc length and speed; at the end of the path the motion stands.
     Own,
 }
 
@@ -25,8 +26,7 @@ pub struct Course {
 }
 
 impl Course {
-    /// The course along `path` of a root at `track`. With [`ArcLengthMode::Own`] the course may end
-    /// earlier.
+    /// The course along `path` of a root at `track`.
     pub fn of_motion(path: &Polyline, track: &[[f64; 2]], along: ArcLengthMode) -> Self {
         let walked = walked(track);
         let total = walked.last().copied().unwrap_or(0.0);
@@ -41,12 +41,17 @@ impl Course {
                 let shares = walked.iter().enumerate().map(share);
                 shares.map(|share| share * length).collect()
             }
-            ArcLengthMode::Own => {
-                let on_path = |metres: &f64| *metres <= length + STILL;
-                walked.iter().copied().take_while(on_path).collect()
-            }
+            ArcLengthMode::Own => return Self::at_pace(path, track, 1.0),
         };
         Self::at(path, metres)
+    }
+
+    /// The course along `path` of a root at `track` with `pace` times its arc length, standing at the
+    /// end.
+    pub fn at_pace(path: &Polyline, track: &[[f64; 2]], pace: f64) -> Self {
+        let metres = walked(track).into_iter();
+        let metres = metres.map(|metres| (pace * metres).min(path.length()));
+        Self::at(path, metres.collect())
     }
 
     /// The course of `frames` frames along `path` at `speed` metres per second, standing at the
@@ -83,6 +88,11 @@ impl Course {
     }
 }
 
+/// Ground positions of the root.
+pub(super) fn ground(joints: &Joints) -> Vec<[f64; 2]> {
+    joints.track(0).iter().map(|[x, _, z]| [*x, *z]).collect()
+}
+
 /// Arc length of a track at each frame, metres.
 pub(super) fn walked(track: &[[f64; 2]]) -> Vec<f64> {
     let mut metres = 0.0;
@@ -111,9 +121,11 @@ mod tests {
         assert_eq!(stretched.points[3], [0.0, 6.0]);
         let own = Course::of_motion(&line(8.0), &track, ArcLengthMode::Own);
         assert_eq!(own.metres, [0.0, 1.0, 1.0, 3.0, 4.0]);
-        // A shorter path ends the course.
+        // At the end of a shorter path the course stands.
         let own = Course::of_motion(&line(2.0), &track, ArcLengthMode::Own);
-        assert_eq!(own.metres, [0.0, 1.0, 1.0]);
+        assert_eq!(own.metres, [0.0, 1.0, 1.0, 2.0, 2.0]);
+        let fast = Course::at_pace(&line(5.0), &track, 1.5);
+        assert_eq!(fast.metres, [0.0, 1.5, 1.5, 4.5, 5.0]);
         let standing = [[1.0, 1.0]; 3];
         assert_eq!(
             Course::of_motion(&line(4.0), &standing, ArcLengthMode::Stretch).metres,

@@ -15,6 +15,7 @@ mod bend;
 mod course;
 mod error;
 mod headings;
+mod idle;
 mod loss;
 mod measures;
 mod plan;

@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::course::walked;
+use super::course::{ground, walked};
+use super::idle::standing_after;
 use super::{
     ArcLengthMode, Course, Edges, HEADING_ORDER, HEADING_WINDOW, PathError, Polyline, STILL,
     headings_of, headings_of_gait, savgol, unwrapped,
@@ -28,6 +29,12 @@ pub enum HeadingMode {
 pub struct Warp {
     /// Arc length of each frame.
     pub along: ArcLengthMode,
+    /// Mean speed of the motion along the path, metres per second, instead of [`Stretch`]. At the
+    /// end of the path the motion stands.
+    ///
+    /// [`Stretch`]: ArcLengthMode::Stretch
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub speed: Option<f64>,
     /// Heading of the body.
     pub turning: HeadingMode,
     /// Smooth rotations with a Savitzky-Golay filter of 11 frames and order 3.
@@ -47,6 +54,10 @@ impl Warp {
 pub struct Warped {
     /// The joints.
     pub joints: Joints,
+    /// The joints before the move, frame by frame: the motion, with the frames in which it stands.
+    pub own: Joints,
+    /// The first frame that stands at the end of the path.
+    pub stands_from: Option<usize>,
     /// The course of the root.
     pub course: Course,
     /// Rotation of each frame about +y, radians.
@@ -68,22 +79,46 @@ impl Warp {
         path: &Polyline,
     ) -> Result<Warped, PathError> {
         joints.must_be_of(skeleton)?;
-        let track: Vec<[f64; 2]> = joints.track(0).iter().map(|[x, _, z]| [*x, *z]).collect();
-        let course = Course::of_motion(path, &track, self.along);
-        let frames = course.frames();
-        let track = &track[..frames];
+        let pace = self.pace(joints, skeleton);
+        let idle = match pace {
+            Some(pace) => standing_after(joints, skeleton, path.length() / pace)?,
+            None => None,
+        };
+        let stands_from = idle.as_ref().map(|idle| idle.from);
+        let own = idle.map_or_else(|| joints.clone(), |idle| idle.joints);
+        let track = ground(&own);
+        let course = match pace {
+            Some(pace) => Course::at_pace(path, &track, pace),
+            None => Course::of_motion(path, &track, ArcLengthMode::Stretch),
+        };
         let turned = match path.length() < STILL {
-            true => vec![0.0; frames],
-            false => self.turns(joints, skeleton, track, &course),
+            true => vec![0.0; track.len()],
+            false => self.turns(&own, skeleton, &track, &course),
         };
         let last = |metres: &[f64]| metres.last().copied().unwrap_or(0.0);
-        let (before, after) = (last(&walked(track)), last(&course.metres));
+        let (before, after) = (last(&walked(&track)), last(&course.metres));
         Ok(Warped {
-            joints: placed(joints, &course.points, &turned)?,
+            joints: placed(&own, &course.points, &turned)?,
+            own,
+            stands_from,
             course,
             turned,
             speed_ratio: if before < STILL { 0.0 } else { after / before },
         })
+    }
+
+    /// Ratio of the arc lengths on the path to those of the motion, if the path does not determine
+    /// it.
+    fn pace(&self, joints: &Joints, skeleton: &Skeleton) -> Option<f64> {
+        match (self.along, self.speed) {
+            (ArcLengthMode::Own, _) => Some(1.0),
+            (ArcLengthMode::Stretch, None) => None,
+            (ArcLengthMode::Stretch, Some(speed)) => {
+                let walked = walked(&ground(joints)).last().copied().unwrap_or(0.0);
+                let seconds = (joints.frames() - 1) as f64 / skeleton.description().fps;
+                (walked >= STILL && seconds > 0.0).then(|| speed * seconds / walked)
+            }
+        }
     }
 
     /// Rotation about +y of each frame of `joints` on a course, radians; the root is at `track`.
@@ -264,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn its_own_speed_ends_at_the_end_of_the_path() {
+    fn at_the_end_of_a_short_path_the_motion_stands() {
         let (joints, skeleton) = walking(70);
         let own = Warp {
             along: ArcLengthMode::Own,
@@ -272,12 +307,45 @@ mod tests {
         };
         let short = Polyline::new(vec![[0.0, 0.0], [1.0, 0.0]]).unwrap();
         let warped = own.apply(&joints, &skeleton, &short).unwrap();
-        assert!(warped.joints.frames() < 30);
+        assert_eq!((warped.joints.frames(), warped.own.frames()), (70, 70));
         assert!((warped.speed_ratio - 1.0).abs() < 1e-12);
+        let from = warped.stands_from.unwrap();
+        assert!((20..40).contains(&from), "{from}");
+        for t in from..70 {
+            let [x, _, z] = warped.joints.frame(t)[0];
+            assert!((x - 1.0).abs() < 0.01 && z.abs() < 1e-9, "{t}: {x} {z}");
+            for (a, b) in warped.joints.frame(t).iter().zip(warped.joints.frame(69)) {
+                assert!(length(minus(*a, *b)) < 1e-9, "{t}");
+            }
+        }
         let stretched = Warp::default().apply(&joints, &skeleton, &short).unwrap();
         assert_eq!(stretched.joints.frames(), 70);
-        assert!(stretched.speed_ratio < 0.5);
+        assert!(stretched.speed_ratio < 0.5 && stretched.stands_from.is_none());
         let other = Skeleton::kit();
         assert!(own.apply(&joints, &other, &short).is_err());
+    }
+
+    #[test]
+    fn a_stated_speed_is_the_mean_speed_until_the_motion_stands() {
+        let (joints, skeleton) = walking(70);
+        let line = |metres| Polyline::new(vec![[0.0, 0.0], [0.0, metres]]).unwrap();
+        let at = |speed, metres| {
+            let warp = Warp {
+                speed: Some(speed),
+                ..Warp::default()
+            };
+            warp.apply(&joints, &skeleton, &line(metres)).unwrap()
+        };
+        let far = at(0.8, 20.0);
+        let seconds = 69.0 / 20.0;
+        let end = far.joints.frame(69)[0][2];
+        assert!((end - 0.8 * seconds).abs() < 1e-9 && far.stands_from.is_none());
+        let slow = at(0.8, 1.0);
+        let from = slow.stands_from.unwrap();
+        // 1 m takes 1.25 s, and half a second more to slow down.
+        assert!((30..45).contains(&from), "{from}");
+        assert!((slow.joints.frame(69)[0][2] - 1.0).abs() < 0.01);
+        assert!((slow.speed_ratio - far.speed_ratio).abs() < 1e-9);
+        assert!(at(1.2, 1.0).stands_from.unwrap() < from);
     }
 }

@@ -86,6 +86,13 @@ impl Representation for JointFeatures {
         self.skeleton.description().fps
     }
 
+    fn at_rate(&self, fps: f64) -> Option<Box<dyn Representation>> {
+        Some(Box::new(Self {
+            skeleton: self.skeleton.clone().at_rate(fps),
+            root: self.root,
+        }))
+    }
+
     fn channel_name(&self, channel: usize) -> String {
         self.layout().channel_name(channel)
     }
@@ -198,6 +205,12 @@ impl Representation for JointPositions {
 
     fn fps(&self) -> f64 {
         self.skeleton.description().fps
+    }
+
+    fn at_rate(&self, fps: f64) -> Option<Box<dyn Representation>> {
+        Some(Box::new(Self {
+            skeleton: self.skeleton.clone().at_rate(fps),
+        }))
     }
 
     fn shape(&self) -> String {
@@ -349,6 +362,10 @@ impl Representation for GroundPath {
 
     fn fps(&self) -> f64 {
         self.fps
+    }
+
+    fn at_rate(&self, fps: f64) -> Option<Box<dyn Representation>> {
+        Some(Box::new(Self { fps }))
     }
 
     fn channel_name(&self, channel: usize) -> String {

@@ -39,6 +39,11 @@ pub trait Representation: Debug + Send + Sync {
     /// Frames per second.
     fn fps(&self) -> f64;
 
+    /// The same representation at another rate; `None` if the rate is fixed.
+    fn at_rate(&self, _fps: f64) -> Option<Box<dyn Representation>> {
+        None
+    }
+
     /// The shape of an array of such rows, for messages.
     fn shape(&self) -> String {
         format!("[T, {}]", self.channels())
@@ -113,6 +118,8 @@ pub struct Curves {
     pub title: String,
     /// Named series, `[frames]` or slightly shorter.
     pub series: Vec<(String, Vec<f64>)>,
+    /// The check of the profile `ccmotion` that bounds the values.
+    pub check: Option<&'static str>,
 }
 
 impl Curves {
@@ -120,6 +127,14 @@ impl Curves {
         Self {
             title: title.to_owned(),
             series,
+            check: None,
+        }
+    }
+
+    fn bounded_by(self, check: &'static str) -> Self {
+        Self {
+            check: Some(check),
+            ..self
         }
     }
 

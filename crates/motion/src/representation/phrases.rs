@@ -90,11 +90,12 @@ impl Representation for Phrases {
             channels("acceleration (m/s²)", ACCELERATION, &xyz),
             channels("quaternion", QUATERNION, &["w", "x", "y", "z"]),
             channels("angular velocity (rad/s)", ANGULAR_VELOCITY, &xyz),
-            channels("phase", PHASE..PHASE + 1, &["phase"]),
+            channels("phase", PHASE..PHASE + 1, &["phase"]).bounded_by("phase"),
             channels("style", STYLE, &["0", "1", "2", "3", "4", "5", "6", "7"]),
-            Curves::new("quaternion norm", vec![("|q|".into(), norms.collect())]),
+            Curves::new("quaternion norm", vec![("|q|".into(), norms.collect())])
+                .bounded_by("quaternion"),
             twice("speed (m/s)", vectors(VELOCITY), path),
-            twice("jerk (m/s³)", jerk(&motion), bends),
+            twice("jerk (m/s³)", jerk(&motion), bends).bounded_by("jerk"),
             twice("turn rate (rad/s)", turns, angular_rates(&motion)),
         ]
     }

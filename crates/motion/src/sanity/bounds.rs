@@ -18,7 +18,8 @@ pub enum Bounds {
         factor: f64,
         /// Value that is always allowed, in the measure's unit.
         harmless: f64,
-        /// Largest possible value: at most half of the rest up to it is allowed.
+        /// Largest possible value of the measure. The bound lies at most half of the distance from the
+        /// reference to it.
         end: f64,
     },
     /// Within both percentiles and the margin.

@@ -44,6 +44,16 @@ impl Default for SanityThresholds {
 }
 
 impl SanityThresholds {
+    /// The bounds of a check by name, on single values; none for another check.
+    pub fn of_check(&self, check: &str) -> Vec<f64> {
+        match check {
+            "quaternion" => vec![self.quaternion_norm_min, self.quaternion_norm_max],
+            "phase" => vec![self.phase_min, self.phase_max],
+            "jerk" => vec![self.max_jerk],
+            _ => Vec::new(),
+        }
+    }
+
     /// # Errors
     /// Errors for negative bounds, and for a smallest value above the largest.
     pub fn validate(&self) -> Result<(), InvalidSetting> {

@@ -28,7 +28,7 @@ const PHRASES: [(&str, [f64; 2]); 16] = [
 /// The same of bodies: 1,267 clips of up to 10 s of actors and dancers that walk, run, dance, kick and
 /// gesture. The bounds of speed, turning and heights are those of livelier people: sprints,
 /// pirouettes, jumps, sitting and lying.
-const BODIES: [(&str, [f64; 2]); 15] = [
+const BODIES: [(&str, [f64; 2]); 17] = [
     ("fastest_root", [0.0, 5.0]),
     ("fastest_joint", [0.0, 11.0]),
     ("jerk_p99", [0.0, 2000.0]),
@@ -38,6 +38,8 @@ const BODIES: [(&str, [f64; 2]); 15] = [
     ("turn_acceleration", [0.0, 3500.0]),
     ("still_share", [0.0, 0.15]),
     ("glide", [0.0, 3.2]),
+    ("statue", [0.0, 0.0]),
+    ("time_direction", [-3.2, 0.05]),
     ("skating", [0.0, 0.5]),
     ("floor", [-0.01, 0.0]),
     ("floating", [0.0, 0.09]),

@@ -54,7 +54,7 @@ def evaluate(
 def train(
     config: _Path,
     overrides: list[str],
-    runs_dir: _Path,
+    runs_dir: _Path | None,
     resume: bool,
     event: Callable[[str, dict[str, Any]], object],
 ) -> Path: ...

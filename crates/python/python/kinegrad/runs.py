@@ -366,7 +366,7 @@ def train(
     config: PathArgument = "kinegrad.toml",
     overrides: Mapping[str, Any] | Sequence[str] | None = None,
     *,
-    runs_dir: PathArgument = "runs",
+    runs_dir: PathArgument | None = None,
     resume: bool = False,
     on_step: Callable[[StepReport], object] | None = None,
     progress: bool | None = None,
@@ -376,7 +376,8 @@ def train(
     Args:
         config: The config file.
         overrides: Keys of the config, such as `{"train.max_steps": 100}`.
-        runs_dir: Folder that contains the runs.
+        runs_dir: Folder that contains the runs; `None` for the environment variable
+            `KINEGRAD_RUNS_DIR`, else `runs`.
         resume: Continue the run from its latest valid checkpoint.
         on_step: Called after each optimiser step. Its exceptions are raised here, after a
             checkpoint has been written.

@@ -11,7 +11,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::axes::{bounds, can_be_drawn, equal_scale};
 use super::heat::cells;
-use super::legend::{KEYFRAME, OBSTACLE, colour, draw_head};
+use super::legend::{KEYFRAME, OBSTACLE, THRESHOLD, colour, draw_head};
 use super::panel::{Kind, Panel, Pose};
 
 /// Margin around the plot and its axes, pixels.
@@ -41,6 +41,7 @@ pub(super) fn draw_panel<B: DrawingBackend<ErrorType: 'static>>(
     area: &DrawingArea<B, Shift>,
 ) -> Result<(), Box<dyn Error>> {
     let area = &draw_head(panel, area)?;
+    let panel = &panel.scaled();
     let left = match panel.kind {
         Kind::Strip { .. } => ROW_NAMES,
         _ => Y_LABELS,
@@ -60,6 +61,7 @@ pub(super) fn draw_panel<B: DrawingBackend<ErrorType: 'static>>(
     let near = |value: f64| if value.abs() < least { 0.0 } else { value };
     let downwards = |value: &f64| short(-near(*value));
     let upwards = |value: &f64| short(near(*value));
+    let power = |value: &f64| magnitude(*value);
     let mut mesh = chart.configure_mesh();
     mesh.light_line_style(WHITE)
         .bold_line_style(BLACK.mix(0.1))
@@ -70,6 +72,7 @@ pub(super) fn draw_panel<B: DrawingBackend<ErrorType: 'static>>(
     match panel.kind {
         Kind::Map(_) => mesh.y_label_formatter(&downwards),
         Kind::Strip { .. } => mesh.disable_y_mesh().y_labels(0),
+        Kind::Lines(_) if panel.is_logarithmic => mesh.y_label_formatter(&power),
         _ => mesh.y_label_formatter(&upwards),
     };
     mesh.draw()?;
@@ -86,6 +89,11 @@ pub(super) fn draw_panel<B: DrawingBackend<ErrorType: 'static>>(
             }))?;
         }
         Kind::Lines(_) | Kind::Map(_) => {}
+    }
+    let lines = panel.thresholds.iter().filter(|line| y.contains(line));
+    for &line in lines {
+        let ends = [(x.start, line), (x.end, line)];
+        chart.draw_series(DashedLineSeries::new(ends, 6, 4, THRESHOLD.stroke_width(1)))?;
     }
     for region in &panel.regions {
         chart.draw_series([Polygon::new(region.clone(), OBSTACLE.mix(0.25).filled())])?;
@@ -113,7 +121,7 @@ pub(super) fn draw_panel<B: DrawingBackend<ErrorType: 'static>>(
 /// Axis ranges of a plot with the aspect `ratio`, width to height.
 fn ranges(panel: &Panel, ratio: f64) -> (Range<f64>, Range<f64>) {
     let across = || bounds(panel.places().map(|place| place.0));
-    let up = || bounds(panel.places().map(|place| place.1));
+    let up = || panel.up();
     match &panel.kind {
         Kind::Lines(_) => (across(), up()),
         Kind::Map(_) | Kind::Poses(_) => equal_scale(across(), up(), ratio),
@@ -127,8 +135,15 @@ fn ranges(panel: &Panel, ratio: f64) -> (Range<f64>, Range<f64>) {
     }
 }
 
+/// The tick label of a decimal logarithm.
+fn magnitude(logarithm: f64) -> String {
+    let value = 10f64.powf(logarithm);
+    let digits = 10f64.powi(1 - logarithm.floor().clamp(-300.0, 300.0) as i32);
+    short((value * digits).round() / digits)
+}
+
 /// A tick label.
-fn short(value: f64) -> String {
+pub(super) fn short(value: f64) -> String {
     match value.abs() {
         size if size != 0.0 && !(1e-3..1e5).contains(&size) => format!("{value:.1e}"),
         // Tick positions are sums of steps and inexact.

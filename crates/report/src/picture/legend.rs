@@ -4,6 +4,7 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::IntoTextStyle;
 
+use super::chart::short;
 use super::panel::{Kind, Panel};
 
 /// Height of the title's line, pixels.
@@ -21,6 +22,9 @@ const MARGIN: i32 = 10;
 /// Color of key frames and obstacles.
 pub(super) const KEYFRAME: RGBColor = RGBColor(200, 90, 0);
 pub(super) const OBSTACLE: RGBColor = RGBColor(170, 40, 40);
+
+/// Color of thresholds.
+pub(super) const THRESHOLD: RGBColor = RGBColor(200, 30, 30);
 
 /// Colors of curves on white.
 const COLOURS: [RGBColor; 8] = [
@@ -57,7 +61,10 @@ pub(super) fn draw_head<B: DrawingBackend<ErrorType: 'static>>(
     let wide = area.dim_in_pixel().0 as i32;
     let mut places = Vec::new();
     let (mut x, mut line) = (MARGIN, 0);
-    for (look, name) in entries(panel) {
+    let thresholds = thresholds(panel);
+    let line_of_thresholds = Look::Line(THRESHOLD.to_rgba());
+    let thresholds = thresholds.as_deref().map(|name| (line_of_thresholds, name));
+    for (look, name) in entries(panel).into_iter().chain(thresholds) {
         let (width, _) = area.estimate_text_size(name, &names)?;
         let width = STROKE + 4 + width as i32 + 12;
         if x > MARGIN && x + width > wide - MARGIN {
@@ -87,6 +94,17 @@ pub(super) fn draw_head<B: DrawingBackend<ErrorType: 'static>>(
         head.draw_text(name, &names, (x + STROKE + 4, y + 1))?;
     }
     Ok(body)
+}
+
+/// The legend's entry of the thresholds.
+fn thresholds(panel: &Panel) -> Option<String> {
+    let values: Vec<String> = panel.thresholds.iter().map(|value| short(*value)).collect();
+    let name = match values.len() {
+        0 => return None,
+        1 => "threshold",
+        _ => "thresholds",
+    };
+    Some(format!("{name} {}", values.join(", ")))
 }
 
 fn entries(panel: &Panel) -> Vec<(Look, &str)> {

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::axes::{can_be_drawn, extremes};
+use super::axes::{bounds, can_be_drawn, extremes};
 
 /// A named curve.
 pub type Series = (String, Vec<(f64, f64)>);
@@ -27,6 +27,10 @@ pub struct Panel {
     pub(super) kind: Kind,
     /// Positions of ticks above the plot.
     pub(super) marks: Vec<f64>,
+    /// Values with a horizontal line.
+    pub(super) thresholds: Vec<f64>,
+    /// True if the y axis is logarithmic.
+    pub(super) is_logarithmic: bool,
     /// Range of the x axis; by default, the range of the data with a margin.
     pub(super) across: Option<Range<f64>>,
     /// Named points (x, -z) of a map.
@@ -140,6 +144,44 @@ impl Panel {
         self
     }
 
+    /// Adds a horizontal line at each threshold of curves. The axis reaches thresholds near the curves;
+    /// the legend names all.
+    #[must_use]
+    pub fn with_thresholds(mut self, thresholds: &[f64]) -> Self {
+        self.thresholds = thresholds.to_vec();
+        self
+    }
+
+    /// Draws curves on a logarithmic y axis; values of 0 or below interrupt the curve.
+    #[must_use]
+    pub fn on_logarithmic_axis(mut self) -> Self {
+        self.is_logarithmic = true;
+        self
+    }
+
+    /// The panel with the logarithms of the values, if its axis is logarithmic.
+    pub(super) fn scaled(&self) -> Self {
+        let mut scaled = self.clone();
+        if let (true, Kind::Lines(series)) = (self.is_logarithmic, &mut scaled.kind) {
+            let points = series.iter_mut().flat_map(|(_, points)| points);
+            points.for_each(|(_, y)| *y = logarithm(*y));
+            let thresholds = scaled.thresholds.iter_mut();
+            thresholds.for_each(|threshold| *threshold = logarithm(*threshold));
+        }
+        scaled
+    }
+
+    /// The range of the y axis of curves: the values, and thresholds that are at most as far from
+    /// them as they reach.
+    pub(super) fn up(&self) -> Range<f64> {
+        let values = || self.places().map(|place| place.1);
+        let (low, high) = extremes(values());
+        let reach = (high - low).max(0.1 * high.abs().max(low.abs()));
+        let near = |line: &f64| (low - reach..=high + reach).contains(line);
+        let near = self.thresholds.iter().copied().filter(near);
+        bounds(values().chain(near))
+    }
+
     /// Sets the range of the x axis, so that panels line up.
     #[must_use]
     pub fn spanning(mut self, across: Range<f64>) -> Self {
@@ -153,6 +195,8 @@ impl Panel {
             x_label,
             kind,
             marks: Vec::new(),
+            thresholds: Vec::new(),
+            is_logarithmic: false,
             across: None,
             points: Vec::new(),
             regions: Vec::new(),
@@ -191,6 +235,14 @@ impl Panel {
     }
 }
 
+/// The decimal logarithm; NaN for values of 0 or below.
+fn logarithm(value: f64) -> f64 {
+    match value > 0.0 {
+        true => value.log10(),
+        false => f64::NAN,
+    }
+}
+
 /// The time ranges in which the frames are true.
 fn spans(frames: &[bool], fps: f64) -> Vec<Range<f64>> {
     let mut spans: Vec<Range<f64>> = Vec::new();
@@ -210,6 +262,30 @@ fn spans(frames: &[bool], fps: f64) -> Vec<Range<f64>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn panel(values: &[f64]) -> Panel {
+        let points = values.iter().enumerate();
+        let points = points.map(|(t, value)| (t as f64, *value)).collect();
+        Panel::lines("", "s", vec![("a".into(), points)])
+    }
+
+    #[test]
+    fn the_axis_reaches_thresholds_that_are_near() {
+        let near = panel(&[0.98, 1.0]).with_thresholds(&[0.95, 1.05]).up();
+        assert!(near.start < 0.95 && near.end > 1.05, "{near:?}");
+        let far = panel(&[1.0, 900.0]).with_thresholds(&[50_000.0]).up();
+        assert!(far.end < 1000.0, "{far:?}");
+    }
+
+    #[test]
+    fn a_logarithmic_axis_shows_orders_of_magnitude() {
+        let scaled = panel(&[100.0, 0.01, 0.0, -1.0]).on_logarithmic_axis();
+        let scaled = scaled.with_thresholds(&[1000.0]).scaled();
+        let (_, points) = &scaled.series()[0];
+        assert_eq!((points[0].1, points[1].1), (2.0, -2.0));
+        assert!(points[2].1.is_nan() && points[3].1.is_nan());
+        assert_eq!(scaled.thresholds, [3.0]);
+    }
 
     #[test]
     fn a_span_lasts_to_the_end_of_its_last_frame() {

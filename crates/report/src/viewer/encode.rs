@@ -16,7 +16,7 @@ pub const POSITION_ERROR: f64 = 0.0002;
 /// A step that is fine enough for positions of people, meters.
 const FINE: f64 = 0.0001;
 
-/// Minimum number of levels over the spread with fine steps.
+/// Fine steps divide the spread into at least this many levels.
 const LEAST_LEVELS: f64 = 8192.0;
 
 /// The level of a value that is not finite: a gap.

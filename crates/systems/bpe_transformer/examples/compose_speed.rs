@@ -46,6 +46,7 @@ fn main() {
     let composed = Composed {
         network: &network,
         path: None,
+        path_guidance_scale: 1.0,
         segments: TextSegments::new([segments.collect()]),
         switch: Switch {
             bpe_denoising_step: 60,
@@ -66,6 +67,7 @@ fn main() {
     let short = Composed {
         network: &network,
         path: None,
+        path_guidance_scale: 1.0,
         segments: TextSegments::single([4]),
         switch: composed.switch,
     };

@@ -8,14 +8,15 @@ use kinegrad_motion::humanml::Root;
 use kinegrad_settings::{Refused, in_range, require};
 use kinegrad_train::Error;
 use kinegrad_train::clips::captions::CaptionsConfig;
+use kinegrad_train::clips::path_condition::PathTrainingConfig;
 use kinegrad_train::clips::settings::{must_be_of_clips, must_have_no_style, validate_velocity};
-use kinegrad_train::config::{ClipSample, Config, ModelTable, NetworkKind, SystemTables};
+use kinegrad_train::config::{ClipSample, Config, ModelTable, NetworkKind, PLAIN, SystemTables};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use super::{ADAPTER, PathConfig, RECIPE};
-use crate::network::BlendedConfig;
+use crate::network::{BlendedConfig, PathTokens};
 
 /// Values of the common tables, from the published program where it defines the value.
 pub(super) const DEFAULTS: &str = r#"
@@ -53,10 +54,14 @@ pub(super) const ADAPTER_DEFAULTS: &str = "
 path = true
 ";
 
-/// Tables of an initial run, with path conditioning.
-pub(super) fn with_paths(mut tables: Table) -> Table {
-    if let Some(model) = tables.get_mut("model").and_then(Value::as_table_mut) {
+/// Tables of an initial run, with path conditioning by `tokens` if it lacks its own.
+pub(super) fn with_paths(mut tables: Table, tokens: PathTokens) -> Table {
+    if let Some(model) = tables.get_mut("model").and_then(Value::as_table_mut)
+        && model.get("path") != Some(&Value::Boolean(true))
+    {
+        let tokens = Value::try_from(tokens).expect(PLAIN);
         model.insert("path".to_string(), Value::Boolean(true));
+        model.insert("path_tokens".to_string(), tokens);
     }
     tables
 }
@@ -126,15 +131,6 @@ impl Default for PositionsConfig {
             bpe_training_ratio: 0.5,
         }
     }
-}
-
-/// The table `paths`: training of a path-conditioned network (`model.path`).
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct PathTrainingConfig {
-    /// Probability of dropping a training sample's path. 0.1 also trains the network without paths.
-    /// Recipe `path_adapter` needs no dropping, because its base was trained without paths.
-    pub drop_prob: f64,
 }
 
 /// The table `init`.
@@ -208,8 +204,14 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let sizes = own.model.network.sizes();
     sizes.validate()?;
     own.diffusion.validate()?;
+    own.diffusion.must_not_rescale_timesteps()?;
     own.text.validate(data)?;
     let adapts = config.train.recipe == ADAPTER;
+    let tokens = sizes.path_tokens;
+    let found = Value::try_from(tokens).expect(PLAIN).to_string();
+    let allowed = "\"added\" without `model.path`";
+    let fits = sizes.path || tokens == PathTokens::Added;
+    require(fits, "model.path_tokens", found, allowed)?;
     let allowed = format!("true for recipe `{ADAPTER}`, which trains the layers of the path");
     require(!adapts || sizes.path, "model.path", false, allowed)?;
     let (key, layers) = ("adapter.last_layers", own.adapter.last_layers);
@@ -217,10 +219,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let allowed = format!("0 for recipe `{RECIPE}`, which trains all layers");
     require(adapts || layers == 0, key, layers, allowed)?;
     must_be_of_clips(config)?;
-    let (key, prob) = ("paths.drop_prob", own.paths.drop_prob);
-    in_range(key, prob, 0.0..=1.0)?;
-    let allowed = "0 without `model.path`";
-    require(prob == 0.0 || sizes.path, key, prob, allowed)?;
+    own.paths.validate(sizes.path)?;
     let ratio = own.positions.bpe_training_ratio;
     in_range("positions.bpe_training_ratio", ratio, 0.0..=1.0)?;
     let evaluation = &own.evaluation;

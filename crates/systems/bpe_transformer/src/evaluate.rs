@@ -55,7 +55,7 @@ fn evaluate(
     let config = composer.config();
     let settings = &config.own::<BpeTables>().evaluation;
     let sampler = &config.sampling.sampler;
-    let skeleton = config.data.humanml3d.skeleton.skeleton();
+    let skeleton = config.data.humanml3d.skeleton();
     let key = Key::new(request.seed, Purpose::Sampling);
     let count = settings.compositions * settings.texts;
     let texts = key.named("texts").integers(count, held_out.len());

@@ -13,6 +13,7 @@ use kinegrad_motion::{Representation, Statistics};
 use kinegrad_random::Key;
 use kinegrad_train::checkpoint::State;
 use kinegrad_train::clips::captions::TextInput;
+use kinegrad_train::clips::path_condition::of_path;
 use kinegrad_train::clips::path_target::{Fastest, PathTarget};
 use kinegrad_train::clips::{FeatureSpace, TimedPrompt};
 use kinegrad_train::config::Config;
@@ -20,7 +21,6 @@ use kinegrad_train::{Error, TrainedModel};
 
 use super::load::{text_input, trained};
 use super::path::PathControl;
-use super::path_condition::of_path;
 use super::{BpeTables, ComposeEvaluationConfig};
 use crate::network::{BlendedTransformer, Composed, Segment, Switch, TextSegments};
 
@@ -67,7 +67,7 @@ impl Composer {
 
     /// The largest speed of a root in training.
     pub(super) fn fastest(&self) -> Result<Fastest, Error> {
-        let skeleton = self.config().data.humanml3d.skeleton.skeleton();
+        let skeleton = self.config().data.humanml3d.skeleton();
         Ok(Fastest::of_clips(self.statistics()?, &skeleton))
     }
 
@@ -97,7 +97,7 @@ impl Composer {
         let mut path = None;
         if let Some(target) = target.filter(|_| settings.path.method.conditions()) {
             self.must_have_path()?;
-            let fps = humanml3d.skeleton.skeleton().description().fps;
+            let fps = humanml3d.skeleton().description().fps;
             path = Some(of_path(
                 &target.at_origin().course.points,
                 fps,
@@ -108,6 +108,7 @@ impl Composer {
             network,
             segments: segments.clone(),
             path: path.clone(),
+            path_guidance_scale: settings.path.path_guidance_scale,
             switch: Switch {
                 bpe_denoising_step: settings.bpe_denoising_step,
                 num_train_timesteps: self.diffusion.config.num_train_timesteps,

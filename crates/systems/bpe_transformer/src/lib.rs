@@ -13,7 +13,6 @@ mod import;
 mod load;
 pub mod network;
 mod path;
-mod path_condition;
 mod path_evaluation;
 mod recipe;
 mod report;
@@ -25,7 +24,7 @@ use toml::Table;
 
 pub use config::{
     BpeInitConfig, BpeNetwork, BpeTables, ComposeEvaluationConfig, PathAdapterConfig,
-    PathTrainingConfig, PositionsConfig,
+    PositionsConfig,
 };
 pub use generate::Composer;
 pub use path::{OverrideTarget, PathConfig, PathMethod};
@@ -91,11 +90,12 @@ impl System for BpeTransformer {
     }
 
     fn inherited(&self, config: &Config, saved: Option<&Config>) -> Result<Option<Table>, Error> {
-        let init = &config.own::<BpeTables>().init.diffusion;
+        let own: &BpeTables = config.own();
+        let (init, tokens) = (&own.init.diffusion, own.model.network.sizes().path_tokens);
         let tables = start::inherited(saved, init, &INHERITED, self)?;
         Ok(
             tables.map(|tables| match config::is_path_conditioned(config) {
-                true => config::with_paths(tables),
+                true => config::with_paths(tables, tokens),
                 false => tables,
             }),
         )

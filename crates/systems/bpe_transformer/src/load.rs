@@ -60,7 +60,8 @@ fn started(start: &Start, config: &Config, device: &Device) -> Result<BlendedTra
     let mut base = state.config.clone();
     let has_path = base.own::<BpeTables>().model.network.sizes().path;
     if is_path_conditioned(config) && !has_path {
-        base.system = OwnTables::unread(with_paths(base.system.to_table()));
+        let tokens = config.own::<BpeTables>().model.network.sizes().path_tokens;
+        base.system = OwnTables::unread(with_paths(base.system.to_table(), tokens));
     }
     must_agree(config, &base, &INHERITED)?;
     let fresh = self::network(config, device)?;

@@ -8,7 +8,7 @@ use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::{Features, Root, Skeleton};
 use kinegrad_motion::path::{PathLoss, PathLossConfig, root_channels};
 use kinegrad_random::Key;
-use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range};
+use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use kinegrad_train::Error;
 use kinegrad_train::clips::path_target::{Followed, PathTarget};
 use schemars::JsonSchema;
@@ -36,6 +36,10 @@ pub struct PathConfig {
     /// For `guidance`: length of a step against the gradient. Omitted: 100 through the network; for
     /// the noisy motion, 1 with a relative root and 0.05 with an absolute root.
     pub guidance_step_size: Option<f64>,
+    /// For the methods with `tokens`: guidance scale of the path. Scales other than 1 and 0 sample with
+    /// two passes, with and without the path; 0 ignores it. A network trained from scratch must have
+    /// seen motion without a path (`paths.drop_prob`).
+    pub path_guidance_scale: f64,
     /// For `guidance` through the network: largest shift of a frame in one step, over all channels,
     /// in standard deviations of the step's noise. With a relative root, early frames move all
     /// later frames, and without a limit their gradient breaks the motion.
@@ -56,6 +60,7 @@ impl Default for PathConfig {
             yaw: true,
             through_network: true,
             guidance_step_size: None,
+            path_guidance_scale: 1.0,
             max_shift: 2.0,
             stop_timestep: 0,
             loss: PathLossConfig::default(),
@@ -144,6 +149,16 @@ impl PathConfig {
         if let Some(guidance_step_size) = self.guidance_step_size {
             in_range("guidance_step_size", guidance_step_size, 0.0..)?;
         }
+        let (key, scale) = ("path_guidance_scale", self.path_guidance_scale);
+        in_range(key, scale, 0.0..)?;
+        let allowed = "1 unless `evaluation.path.method` is one of the tokens";
+        require(
+            scale == 1.0 || self.method.conditions(),
+            key,
+            scale,
+            allowed,
+        )
+        .hint("other methods do not give the path to the network")?;
         in_range("stop_timestep", self.stop_timestep, 0..num_train_timesteps)?;
         in_range("max_shift", self.max_shift, ABOVE_ZERO)?;
         self.loss.validate().within("loss")

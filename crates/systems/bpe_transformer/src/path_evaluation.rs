@@ -141,7 +141,7 @@ pub(super) fn evaluate(
     let config = composer.config();
     let settings = &config.own::<BpeTables>().evaluation;
     let (humanml3d, sampler) = (&config.data.humanml3d, &config.sampling.sampler);
-    let skeleton = humanml3d.skeleton.skeleton();
+    let skeleton = humanml3d.skeleton();
     let fps = skeleton.description().fps;
     let walks = held_out
         .iter()

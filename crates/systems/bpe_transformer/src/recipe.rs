@@ -9,15 +9,14 @@
 //! path-conditioned network is given each clip's trajectory. `loss.velocity` adds the squared error
 //! of differences from the previous frame.
 
-use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_data::TEXT;
 use kinegrad_diffusion::{GaussianDiffusion, Time};
 use kinegrad_models::DropoutKey;
-use kinegrad_train::clips::clip_loss;
+use kinegrad_train::clips::path_condition::RootTrajectories;
+use kinegrad_train::clips::{ChannelWeights, clip_loss};
 use kinegrad_train::denoising::{Conditions, DenoisingRecipe, HeldOut};
 
 use super::BpeTables;
-use super::path_condition::RootTrajectories;
 use crate::network::{BlendedTransformer, Pass, Switch, TextSegments};
 
 /// Trains a [`BlendedTransformer`] on clips of `channels` according to `own`. Validation on
@@ -30,12 +29,12 @@ pub(super) fn recipe(
     held_out: HeldOut,
 ) -> DenoisingRecipe<BlendedTransformer> {
     let (velocity, ratio) = (own.loss.velocity, own.positions.bpe_training_ratio);
-    let drop_path = own.paths.drop_prob;
+    let paths = own.paths.clone();
     let switch = Switch {
         bpe_denoising_step: own.evaluation.bpe_denoising_step,
         num_train_timesteps: own.diffusion.num_train_timesteps,
     };
-    let channel_weights = vec![1.0; channels];
+    let channel_weights = ChannelWeights::mean(&vec![1.0; channels]);
     DenoisingRecipe::new(
         diffusion,
         held_out,
@@ -47,7 +46,7 @@ pub(super) fn recipe(
             };
             let path = || trajectories.conditions(&inputs.x_start, &lengths);
             let path = network.has_path().then(path);
-            let path_mask = path_mask(draws.dropout, batch, drop_path, &inputs.x_start.device());
+            let path_mask = paths.mask(draws.dropout, batch, &inputs.x_start.device());
             let segments = TextSegments::single(lengths);
             let is_relative = match modes(draws.dropout, batch, ratio) {
                 Some(is_relative) => is_relative,
@@ -81,33 +80,11 @@ fn modes(key: DropoutKey, batch: usize, ratio: f64) -> Option<Vec<bool>> {
     Some(uniforms.into_iter().map(|u| f64::from(u) < ratio).collect())
 }
 
-/// The path dropout mask of a training step, `[batch, 1, 1]`: 0 for dropped paths, else 1; `None`
-/// without dropout.
-fn path_mask(key: DropoutKey, batch: usize, drop_prob: f64, device: &Device) -> Option<Tensor<3>> {
-    let key = key.filter(|_| drop_prob > 0.0)?.named("path");
-    let uniforms = key.uniforms(batch).into_iter();
-    let mask = uniforms.map(|u| f32::from(f64::from(u) >= drop_prob));
-    let data = TensorData::new(mask.collect(), [batch, 1, 1]);
-    Some(Tensor::from_data(data, device))
-}
-
 #[cfg(test)]
 mod tests {
     use kinegrad_random::{Key, Purpose};
 
     use super::*;
-
-    #[test]
-    fn paths_are_dropped_as_often_as_asked() {
-        let mean_of = |key, drop_prob| {
-            let mask = path_mask(key, 64, drop_prob, &Device::flex())?;
-            Some(mask.mean().into_scalar::<f32>())
-        };
-        let key = Key::new(1, Purpose::Dropout);
-        let mean = (0..50).map(|step| mean_of(Some(key.at(step)), 0.1).expect("a key"));
-        assert!((mean.sum::<f32>() / 50.0 - 0.9).abs() < 0.02);
-        assert_eq!((mean_of(Some(key), 0.0), mean_of(None, 0.1)), (None, None));
-    }
 
     #[test]
     fn samples_are_in_either_mode_as_often_as_asked() {

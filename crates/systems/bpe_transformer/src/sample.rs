@@ -143,7 +143,7 @@ impl Sampler for Compositions<'_> {
         let config = self.trained.config();
         let own: &BpeTables = config.own();
         let composer = Composer::load(self.trained)?;
-        let skeleton = config.data.humanml3d.skeleton.skeleton();
+        let skeleton = config.data.humanml3d.skeleton();
         let (fps, fastest) = (skeleton.description().fps, composer.fastest()?);
         let (settings, count) = (&own.evaluation.path, self.request.count);
         let all = self.jobs.len() * count;

@@ -8,9 +8,9 @@ use kinegrad_train::run::{Outcome, RunContext};
 use kinegrad_train::{Error, Observer};
 
 use super::load::{initial_network, text_input};
-use super::path_condition::RootTrajectories;
 use super::recipe::recipe;
 use super::{BpeTables, BpeTransformer};
+use kinegrad_train::clips::path_condition::RootTrajectories;
 
 pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<Outcome, Error> {
     let mut own = context.config.own::<BpeTables>().clone();
@@ -22,7 +22,7 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
     let start = training::start_of(&context, &own.init.diffusion, &BpeTransformer)?;
     let statistics = training::statistics(&context, start.as_ref(), &dataset, observer)?;
     let humanml3d = &config.data.humanml3d;
-    let fps = humanml3d.skeleton.skeleton().description().fps;
+    let fps = humanml3d.skeleton().description().fps;
     let trajectories = RootTrajectories::new(humanml3d.root, &statistics, fps);
     let channels = config.data.humanml3d.representation().channels();
     let network = initial_network(&config, start.as_ref(), &context.device)?;

@@ -143,6 +143,9 @@ pub struct RolloutConfig {
     pub start_timesteps: [usize; 2],
     /// Clamping of the predicted clean motion.
     pub clip: ClipSample,
+    /// The bound of `clip = "symmetric"`, in standard deviations; only with it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub clip_range: Option<f64>,
     /// Use a straight-through gradient for clamping.
     pub straight_through: bool,
     /// Factor of the gradient passed from each step to the previous one.
@@ -163,6 +166,7 @@ impl Default for RolloutConfig {
             start: RolloutStart::Motion,
             start_timesteps: [200, 999],
             clip: ClipSample::TrainingRange,
+            clip_range: None,
             straight_through: true,
             gradient_decay: 1.0,
             guidance_scale: 1.0,
@@ -419,6 +423,7 @@ impl CcMotionConfig {
                 steps - 1
             ),
         )?;
+        rollout.clip.validate(rollout.clip_range, "rollout")?;
         in_range("rollout.guidance_scale", rollout.guidance_scale, 0.0..)?;
         let of_style = rollout.style_guidance_scale.unwrap_or(1.0);
         in_range("rollout.style_guidance_scale", of_style, 0.0..)?;

@@ -149,7 +149,7 @@ impl Generator {
                     on_device(start.flatten().collect(), channels),
                     &self.condition(on_device(features.flatten().collect(), cond_channels)),
                     &sampling.sampler,
-                    &sampling.clip.range(normalization, channels)?,
+                    &sampling.clip_bounds(normalization, channels)?,
                     NoiseKeys::Samples(&of_steps),
                     &mut |step, total, _| {
                         let before = done.saturating_mul(total);

@@ -133,7 +133,7 @@ impl System for CcMotion {
     }
 
     fn accepts_in_evaluation(&self) -> &'static [&'static str] {
-        &["audio_ablation"]
+        &["audio_ablation", "songs", "num_samples", "num_frames"]
     }
 
     fn evaluate<'a>(

@@ -57,7 +57,9 @@ pub(crate) fn denoiser(config: &Config, device: &Device) -> Result<UNet1d, Error
     let unet = unet1d(config);
     let init = Initializer::new(config.run.seed, device);
     let audio = config.data.audio_layout().channels();
-    Ok(unet.init(unet.targets().channels(), audio, &init)?)
+    let scale = config.own::<CcMotionConfig>().diffusion.timestep_scale();
+    let unet = unet.init(unet.targets().channels(), audio, &init)?;
+    Ok(unet.with_timestep_scale(scale))
 }
 
 /// The settings of the denoiser of a config.

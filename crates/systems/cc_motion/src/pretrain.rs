@@ -141,15 +141,18 @@ fn stage(
         },
         train: TrainConfig {
             recipe: recipe.name().into(),
-            max_steps: steps,
+            max_steps: Some(steps),
+            epochs: None,
             patience: 0,
             ..config.train.clone()
         },
         ..config.clone()
     };
     stage.sampling.count_at_end = 0;
-    if stage.validation.every_steps > 0 {
-        stage.validation.every_steps = (steps / VALIDATIONS).max(1);
+    let validation = &mut stage.validation;
+    if validation.is_enabled() {
+        validation.every_steps = Some((steps / VALIDATIONS).max(1));
+        validation.every_epochs = None;
     }
     stage
 }

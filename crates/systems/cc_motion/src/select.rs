@@ -47,7 +47,7 @@ impl Selection {
     ) -> Result<Option<Self>, Error> {
         let validation = &state.config.validation;
         let by = validation.select_by;
-        if by == SelectBy::Loss || validation.every_steps == 0 || held_out.is_empty() {
+        if by == SelectBy::Loss || !validation.is_enabled() || held_out.is_empty() {
             return Ok(None);
         }
         if held_out.len() < 2 {

@@ -8,7 +8,7 @@ use kinegrad_data::{
 use kinegrad_diffusion::GaussianDiffusion;
 use kinegrad_motion::phrase::{ACCELERATION, POSITION, VELOCITY};
 use kinegrad_motion::{ChannelEncoding, OrientationEncoding, Phrases, Statistics};
-use kinegrad_settings::InvalidSetting;
+use kinegrad_settings::{InvalidSetting, Refused, require};
 use kinegrad_train::checkpoint::State;
 use kinegrad_train::config::Config;
 use kinegrad_train::run::{Outcome, RunContext, TrainingData};
@@ -28,6 +28,14 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
     let own: CcMotionConfig = context.config.own::<CcMotionConfig>().clone();
     let mut context = context.with_gradients(own.model.activation_checkpointing);
     let (group, reading) = (context.group.clone(), observer.reading());
+    let recipe = RecipeName::of(&context.config);
+    require(
+        own.decoder.use_layer_norm || !recipe.trains_through_sampler() || group.ranks().size() == 1,
+        "decoder.use_layer_norm",
+        "false",
+        "true with several ranks, whose batches have different statistics",
+    )
+    .hint("LayerNorm normalizes each frame by itself")?;
     let data = &context.config.data;
     let dataset = Dataset::<PhraseItem>::open_among(data, &*observer.reading(), &*context.group)?;
     context.check_dataset(&dataset, observer)?;
@@ -36,7 +44,6 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
     }
     let config = style::with_labels(context.config.clone(), &dataset, observer)?;
     context.config = config.clone();
-    let recipe = RecipeName::of(&config);
     let pretrains = recipe == RecipeName::E2e && own.init.diffusion.as_os_str().is_empty();
     if context.dry_run && pretrains {
         pretrain::announce(&config, &context.folder, observer);

@@ -161,7 +161,7 @@ impl Generator {
     ) -> Result<Vec<f32>, Error> {
         let (windows, config) = (&windowed.windows, &sampling.sampler);
         let shape = [windows.len(), self.targets.channels(), windows.length()];
-        let clip = sampling.clip.range(self.state.normalization(), shape[1])?;
+        let clip = sampling.clip_bounds(self.state.normalization(), shape[1])?;
         let all = sampling.sampler.network_evaluations() * windows.len();
         let mut done = 0;
         let mut predict = |x: Tensor<3>, time: &[Time]| {

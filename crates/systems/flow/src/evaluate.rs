@@ -55,7 +55,7 @@ pub(super) fn prepare<'a>(
     let wanted = settings.rollouts;
     remarks.extend(note_if_fewer(chosen.len(), wanted, "rollouts", trained));
     must_know_texts(&text_input(trained.config()), &held_out)?;
-    let joints = data.humanml3d.skeleton.skeleton().joints();
+    let joints = data.humanml3d.skeleton().joints();
     let coordinates = held_out.len() * settings.frames * 3 * joints;
     let request = request.clone();
     Ok(Evaluation {
@@ -81,7 +81,7 @@ fn evaluate(
     let config = generator.config();
     let (own, sampler) = (config.own::<FlowTables>(), &config.sampling.sampler);
     let settings = &own.evaluation;
-    let skeleton = config.data.humanml3d.skeleton.skeleton();
+    let skeleton = config.data.humanml3d.skeleton();
     let history_frames = own.pose.history_frames + 1;
     let begin = beginning(history_frames);
     let texts: Vec<Option<ClipText>> = held_out.iter().map(|clip| ClipText::of(clip)).collect();

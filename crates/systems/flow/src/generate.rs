@@ -36,7 +36,7 @@ impl FlowGenerator {
         Ok(Self {
             model: trained.load(network)?.valid(),
             space: FlowSpace {
-                skeleton: state.config.data.humanml3d.skeleton.skeleton(),
+                skeleton: state.config.data.humanml3d.skeleton(),
                 features,
                 target,
                 next: own.pose.target,

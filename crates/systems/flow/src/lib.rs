@@ -117,7 +117,7 @@ impl System for Flow {
 /// A run's statistics of features and poses.
 fn statistics_in(state: &State) -> Result<[Statistics; 2], Error> {
     let features = state.clip_statistics()?.clone();
-    let skeleton = state.config.data.humanml3d.skeleton.skeleton();
+    let skeleton = state.config.data.humanml3d.skeleton();
     match &state.network_statistics {
         Some(target) if target.channels() == 3 * skeleton.joints() => {
             Ok([features, target.clone()])

@@ -17,7 +17,7 @@ pub(super) fn text_input(config: &Config) -> TextInput {
 /// Both networks with initial weights.
 pub(super) fn model(config: &Config, device: &Device) -> Result<FlowModel, Error> {
     let own: &FlowTables = config.own();
-    let skeleton = config.data.humanml3d.skeleton.skeleton();
+    let skeleton = config.data.humanml3d.skeleton();
     let init = Initializer::new(config.run.seed, device);
     let model = own.model.network.sizes().init(&skeleton, &init)?;
     Ok(match text_input(config).labels() {
@@ -28,7 +28,7 @@ pub(super) fn model(config: &Config, device: &Device) -> Result<FlowModel, Error
 
 pub(super) fn footprint(config: &Config) -> Result<Footprint, Error> {
     let own: &FlowTables = config.own();
-    let skeleton = config.data.humanml3d.skeleton.skeleton();
+    let skeleton = config.data.humanml3d.skeleton();
     let (sizes, joints) = (own.model.network.sizes(), skeleton.joints());
     let history = own.pose.history_frames;
     let of_frame = joints * (47 + 2 * sizes.joint_dim + 2 * sizes.context_dim);

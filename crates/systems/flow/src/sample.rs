@@ -68,7 +68,7 @@ impl<'a> Rollouts<'a> {
                 });
             }
         }
-        let skeleton = config.data.humanml3d.skeleton.skeleton();
+        let skeleton = config.data.humanml3d.skeleton();
         let longest = config.data.target_frames;
         let space = PoseSpace::new(skeleton, &own.pose, longest);
         if let Some(file) = request.history() {
@@ -168,7 +168,7 @@ impl Sampler for Rollouts<'_> {
     fn sample(&self, run: &mut Run<'_>) -> Result<Option<Summary>, Error> {
         let config = self.trained.config();
         let how = &config.own::<FlowTables>().evaluation;
-        let skeleton = config.data.humanml3d.skeleton.skeleton();
+        let skeleton = config.data.humanml3d.skeleton();
         let generator = FlowGenerator::load(self.trained)?;
         let count = self.request.count;
         let all = count * self.jobs.iter().map(|job| job.frames).sum::<usize>();

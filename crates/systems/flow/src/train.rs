@@ -24,7 +24,7 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
     own.text = with_captions(own.text, &context, &dataset, observer)?;
     let config = context.config.clone().with_own(own.clone());
     context.config = config.clone();
-    let skeleton = config.data.humanml3d.skeleton.skeleton();
+    let skeleton = config.data.humanml3d.skeleton();
     let space = PoseSpace::new(skeleton, &own.pose, config.data.target_frames);
     let [features, target] = match &context.checkpoint {
         Some(checkpoint) => statistics_in(&checkpoint.state)?,

@@ -54,7 +54,7 @@ fn report(run: &Path, timesteps: &[usize]) -> Result<(), Error> {
         clip.features.slice(0..length).to_absolute().joints()
     });
     let real: Vec<Joints> = real.collect();
-    let fps = data.humanml3d.skeleton.skeleton().description().fps;
+    let fps = data.humanml3d.skeleton().description().fps;
     let jerk = |all: &[Joints]| {
         let each = all.iter().filter_map(|joints| mean_jerk(joints, fps));
         each.sum::<f64>() / all.len() as f64

@@ -3,14 +3,17 @@
 use std::path::PathBuf;
 
 use kinegrad_data::DataKind;
-use kinegrad_diffusion::{DiffusionConfig, PredictionType, must_suit};
+use kinegrad_diffusion::{DiffusionConfig, LossType, PredictionType, must_suit};
 use kinegrad_motion::MAX_FRAMES;
 use kinegrad_motion::emphasis::{EmphasisConfig, EmphasisKind};
+use kinegrad_motion::goal::TRAJECTORY_CHANNELS;
 use kinegrad_motion::humanml::Root;
 use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use kinegrad_train::Error;
+use kinegrad_train::clips::ChannelWeights;
 use kinegrad_train::clips::captions::CaptionsConfig;
 use kinegrad_train::clips::evaluator::EvaluatorFiles;
+use kinegrad_train::clips::path_condition::PathTrainingConfig;
 use kinegrad_train::clips::settings::{must_be_of_clips, must_have_no_style, validate_velocity};
 use kinegrad_train::config::{
     ClipSample, Config, ModelTable, NetworkKind, SamplingConfig, SystemTables,
@@ -38,6 +41,8 @@ pub struct GmdConfig {
     pub emphasis: EmphasisConfig,
     /// The diffusion process.
     pub diffusion: DiffusionConfig,
+    /// Training of a path-conditioned network.
+    pub paths: PathTrainingConfig,
     /// The loss.
     pub loss: GmdLossConfig,
     /// Guidance and imputation for goals.
@@ -59,9 +64,11 @@ pub struct GmdInitConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GmdLossConfig {
-    /// For motion models without a projection: the first four channels (root rotation, x, z and
-    /// height) are weighted by the square of this factor (Guided Motion Diffusion, appendix C.1).
+    /// For motion models without a projection: the channels of the trajectory are weighted by the
+    /// square of this factor (Guided Motion Diffusion, appendix C.1).
     pub trajectory_scale: f64,
+    /// The form of the loss with `trajectory_scale`.
+    pub trajectory_form: TrajectoryForm,
     /// Weight of the squared error of differences between consecutive frames, which penalizes
     /// shaking. For `prediction_type = "sample"`; 0 in the paper. Small models shake if the weight
     /// is 0.
@@ -78,9 +85,39 @@ impl Default for GmdLossConfig {
     fn default() -> Self {
         Self {
             trajectory_scale: 1.0,
+            trajectory_form: TrajectoryForm::Published,
             velocity: 0.0,
             joint_velocity: 0.0,
             foot_contact: 0.0,
+        }
+    }
+}
+
+/// The form of the loss with a weighted trajectory (Guided Motion Diffusion, appendix C.1).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum TrajectoryForm {
+    /// As the published program: four channels (root rotation, x, z and height), and the mean over
+    /// channels, whose weights add up to 1.
+    #[default]
+    Published,
+    /// Equation 5 to the letter: three channels (root rotation, x and z), and the sum over channels.
+    /// The loss is some hundred times as large, which `train.max_grad_norm` notices.
+    Equation,
+}
+
+impl TrajectoryForm {
+    /// Weights of `channels` channels, with a trajectory that is `scale` times as large.
+    pub(super) fn weights(self, channels: usize, scale: f64) -> ChannelWeights {
+        let mut weights = vec![1.0; channels];
+        let of_trajectory = match self {
+            Self::Published => TRAJECTORY_CHANNELS,
+            Self::Equation => TRAJECTORY_CHANNELS - 1,
+        };
+        weights[..of_trajectory].fill(scale.powi(2));
+        match self {
+            Self::Published => ChannelWeights::mean(&weights),
+            Self::Equation => ChannelWeights::sum(&weights),
         }
     }
 }
@@ -157,6 +194,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let Config { data, sampling, .. } = config;
     let name = RecipeName::of(config);
     own.diffusion.validate()?;
+    own.diffusion.must_not_rescale_timesteps()?;
     must_be_of_clips(config)?;
     own.model.network.validate()?;
     if let Some(most) = own.model.network.longest() {
@@ -171,6 +209,26 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     own.emphasis.validate()?;
     let scale = own.loss.trajectory_scale;
     in_range("loss.trajectory_scale", scale, ABOVE_ZERO)?;
+    let has_path = own.model.network.has_path();
+    own.paths.validate(has_path)?;
+    let allowed = "false: recipe `gmd_trajectory` generates paths itself";
+    let fits = !(has_path && name == RecipeName::Trajectory);
+    require(fits, "model.path", true, allowed)?;
+    let (key, scale_of_path) = (
+        "steering.path_guidance_scale",
+        own.steering.path_guidance_scale,
+    );
+    let allowed = "1 without `model.path`";
+    require(
+        scale_of_path == 1.0 || has_path,
+        key,
+        scale_of_path,
+        allowed,
+    )?;
+    let literal = own.loss.trajectory_form == TrajectoryForm::Equation;
+    let fits = own.diffusion.loss_type == LossType::Mse || !literal;
+    let allowed = "\"published\" unless `diffusion.loss_type = \"mse\"`";
+    require(fits, "loss.trajectory_form", "\"equation\"", allowed)?;
     validate_velocity(own.loss.velocity, &own.diffusion)?;
     for (key, weight) in [
         ("loss.joint_velocity", own.loss.joint_velocity),
@@ -198,7 +256,7 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
         allowed,
     )?;
     let clips_channels = sampling.clip == ClipSample::TrainingRange;
-    let allowed = "\"none\", \"six\" or \"unit\" in a projected space, whose channels are mixtures of \
+    let allowed = "\"none\", \"six\", \"unit\" or \"symmetric\" in a projected space, whose channels are mixtures of \
                    those whose range is known";
     require(
         !(projects && clips_channels),
@@ -210,6 +268,9 @@ pub(super) fn validate(config: &Config) -> Result<(), Error> {
     let allowed = "1 in a projected space, where no channel is the trajectory's, and in recipe \
                    `gmd_trajectory`, where all are";
     require(fits, "loss.trajectory_scale", scale, allowed)?;
+    let fits = !literal || !(projects || is_trajectory);
+    let allowed = "\"published\" in a projected space and in recipe `gmd_trajectory`";
+    require(fits, "loss.trajectory_form", "\"equation\"", allowed)?;
     let evaluation = &own.evaluation;
     in_range("evaluation.goals", evaluation.goals, 1..)?;
     in_range("evaluation.batch_size", evaluation.batch_size, 1..)?;
@@ -250,7 +311,7 @@ pub(super) fn warnings(config: &Config) -> Option<String> {
         .longest()
         .is_some_and(|most| most == frames);
     let overtrains = config.train.recipe == RecipeName::Trajectory.name()
-        && (config.train.patience == 0 || config.validation.every_steps == 0);
+        && (config.train.patience == 0 || !config.validation.is_enabled());
     let warning = "an overfitted trajectory model responds poorly to guidance, and this run \
                    never stops early: set `train.patience` and `validation.every_steps`";
     let warnings = [(at_edge, edge), (overtrains, warning)].into_iter();
@@ -259,4 +320,49 @@ pub(super) fn warnings(config: &Config) -> Option<String> {
         .map(|(_, text)| text)
         .collect();
     (!warnings.is_empty()).then(|| warnings.join("; "))
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::{Device, Tensor, TensorData};
+    use kinegrad_train::clips::weighted_masked_loss;
+
+    use super::*;
+
+    #[test]
+    fn equation_5_weighs_three_channels_and_adds_up() {
+        let device = Device::flex();
+        let row = |values: [f32; 6]| {
+            Tensor::<3>::from_data(TensorData::new(values.to_vec(), [1, 6, 1]), &device)
+        };
+        // Errors of root rotation, x, z, height and two more channels.
+        let (found, target) = (row([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]), row([0.0; 6]));
+        let loss = |form: TrajectoryForm, scale: f64| {
+            let mask = Tensor::<2>::ones([1, 1], &device);
+            let weights = form.weights(6, scale);
+            let kind = LossType::Mse;
+            let loss = weighted_masked_loss(
+                found.clone(),
+                target.clone(),
+                mask,
+                &weights,
+                0.0,
+                None,
+                kind,
+            );
+            f64::from(loss.into_scalar::<f32>())
+        };
+        let squares = [1.0, 4.0, 9.0, 16.0, 25.0, 36.0];
+        let of = |channels: usize, scale: f64| -> f64 {
+            let (first, rest) = squares.split_at(channels);
+            scale * scale * first.iter().sum::<f64>() + rest.iter().sum::<f64>()
+        };
+        for scale in [1.0, 10.0] {
+            let literal = loss(TrajectoryForm::Equation, scale);
+            assert!((literal / of(3, scale) - 1.0).abs() < 1e-6, "{literal}");
+            let published = loss(TrajectoryForm::Published, scale);
+            let expected = of(4, scale) / (4.0 * scale * scale + 2.0);
+            assert!((published / expected - 1.0).abs() < 1e-6, "{published}");
+        }
+    }
 }

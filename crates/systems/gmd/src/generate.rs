@@ -23,6 +23,7 @@ use kinegrad_settings::{Refused, in_range, require};
 use kinegrad_train::checkpoint::State;
 use kinegrad_train::clips::FeatureSpace;
 use kinegrad_train::clips::captions::{ClipText, TextInput};
+use kinegrad_train::clips::path_condition::of_paths;
 use kinegrad_train::config::{Config, SamplingConfig};
 use kinegrad_train::evaluation::OnStep;
 use kinegrad_train::{Error, TrainedModel};
@@ -36,7 +37,7 @@ use super::padding::Padded;
 use super::recipe_name::RecipeName;
 use super::stage::{StageModel, StageSteering};
 use super::steering::{Padding, SteeringConfig};
-use crate::network::TextDenoiser;
+use crate::network::{Along, TextDenoiser};
 
 /// The key of a clip's noise, and the clip's index among clips with the same key.
 pub type NoiseKey = (Key, u64);
@@ -216,6 +217,7 @@ impl ClipGenerator {
             // stage follows the path in the padding.
             let first = SamplingConfig {
                 clip: model.config().sampling.clip,
+                clip_range: model.config().sampling.clip_range,
                 sampler: steering.first_stage(&sampling.sampler),
                 ..sampling.clone()
             };
@@ -283,8 +285,15 @@ impl ClipGenerator {
     /// Rejects a trajectory model of other clips, or a trajectory model as the second stage.
     fn must_match(&self, trajectory: &Self) -> Result<(), Error> {
         let (own, other) = (self.config(), trajectory.config());
-        let same = (own.data.humanml3d.skeleton, own.data.humanml3d.root)
-            == (other.data.humanml3d.skeleton, other.data.humanml3d.root);
+        let clips = |config: &Config| {
+            let clips = &config.data.humanml3d;
+            (
+                clips.skeleton,
+                clips.root,
+                clips.skeleton().description().fps,
+            )
+        };
+        let same = clips(own) == clips(other);
         if RecipeName::of(own) == RecipeName::Motion && same {
             return Ok(());
         }
@@ -292,7 +301,7 @@ impl ClipGenerator {
         Err(Error::usage(
             format!("`{path_run}` cannot generate paths for `{run}`"),
             "the first must be a run of recipe `gmd_trajectory`, the second one of \
-             `gmd_motion`, on clips of the same `data.humanml3d.skeleton` and `root`",
+             `gmd_motion`, on clips of the same `data.humanml3d.skeleton`, `root` and `fps`",
         ))
     }
 
@@ -337,13 +346,21 @@ impl ClipGenerator {
             },
             ..sampling.sampler.clone()
         };
-        let clip = sampling.clip.range(&self.state.statistics, channels)?;
+        let clip = sampling.clip_bounds(&self.state.statistics, channels)?;
         let mut on_sampled = |done, all, _: &Tensor<3>| on_step(done, all);
         let lengths = match steering.padding {
             Padding::Zeros => stage.lengths.to_vec(),
             Padding::Sampled => vec![frames; batch],
         };
-        let plain = Padded::new(&self.plain, &self.diffusion, &lengths, &start);
+        let path = self.path_of(&stage);
+        let along = |network, path| Along {
+            network,
+            path,
+            path_guidance_scale: steering.path_guidance_scale,
+        };
+        let tracked = along(&self.tracked, path.clone().map(Tensor::autodiff));
+        let along = along(&self.plain, path);
+        let plain = Padded::new(&along, &self.diffusion, &lengths, &start);
         if stage.goals.is_empty() {
             // Each clip equals the clip sampled alone, to the bit.
             let x = batch_invariant(batch, || {
@@ -381,7 +398,7 @@ impl ClipGenerator {
         let at = |timestep| steering.at(timestep);
         let like = start.clone().autodiff();
         let networks = Networks {
-            tracked: &Padded::new(&self.tracked, &self.diffusion, &lengths, &like),
+            tracked: &Padded::new(&tracked, &self.diffusion, &lengths, &like),
             plain: &plain,
         };
         let x = steered_sample(
@@ -396,6 +413,28 @@ impl ClipGenerator {
             &mut on_sampled,
         )?;
         Ok(x)
+    }
+
+    /// The condition of a path-conditioned network: the paths of the first stage, or of goals with a
+    /// position in each frame.
+    fn path_of(&self, stage: &Stage<'_>) -> Option<Tensor<3>> {
+        let of_goals = || {
+            let points = |goal: &'_ Goal| match &goal.trajectory {
+                Some(path) if path.first_frame == 0 => Some(path.points.clone()),
+                _ => None,
+            };
+            stage.goals.iter().map(points).collect::<Option<Vec<_>>>()
+        };
+        let paths = match stage.paths {
+            Some(paths) => Some(paths.to_vec()),
+            None => of_goals().filter(|paths| !paths.is_empty()),
+        };
+        let paths = paths.filter(|_| self.plain.has_path())?;
+        let frames = stage.frames;
+        let cut = |path: &'_ Vec<[f64; 2]>| path.len().min(frames);
+        let paths: Vec<&[[f64; 2]]> = paths.iter().map(|path| &path[..cut(path)]).collect();
+        let fps = self.config().data.humanml3d.skeleton().description().fps;
+        Some(of_paths(&paths, fps, frames, &self.device))
     }
 
     fn paths(&self, x: Tensor<3>) -> Vec<Vec<[f64; 2]>> {

@@ -25,7 +25,9 @@ use kinegrad_motion::{GroundPath, JointFeatures, JointPositions, Representation}
 use kinegrad_settings::Key;
 use toml::Table;
 
-pub use config::{EvaluationSplit, GmdConfig, GmdEvaluationConfig, GmdInitConfig, GmdLossConfig};
+pub use config::{
+    EvaluationSplit, GmdConfig, GmdEvaluationConfig, GmdInitConfig, GmdLossConfig, TrajectoryForm,
+};
 pub use generate::{ClipGenerator, ClipRequest, GeneratedClip, NoiseKey};
 pub use load::{TrainedClips, channels_of, model_in_space, text_denoiser};
 pub use stage::{GroundObjective, StageModel, StageSteering};

@@ -71,8 +71,8 @@ mod tests {
 
     use burn::tensor::Device;
     use kinegrad_diffusion::{
-        ClipRange, DiffusionConfig, NoiseKeys, Prediction, SamplerConfig, SamplerKind, Timesteps,
-        sample,
+        ClipRange, Ddpm, DiffusionConfig, NoiseKeys, Prediction, SamplerConfig, SamplerKind,
+        Timesteps, sample,
     };
     use kinegrad_random::{Key, Purpose};
 
@@ -183,7 +183,7 @@ mod tests {
         let start = normal("start", [3, 2, 8]);
         let cond = normal("cond", [3, 2, 1]);
         for kind in [
-            SamplerKind::Ddpm(Timesteps::default()),
+            SamplerKind::Ddpm(Ddpm::default()),
             SamplerKind::default(),
             SamplerKind::Dpmpp2m(Timesteps::default()),
             SamplerKind::Heun(Timesteps::default()),

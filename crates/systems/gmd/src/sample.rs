@@ -124,7 +124,7 @@ impl<'a> Clips<'a> {
         let config = trained.config();
         let steering = &config.own::<GmdConfig>().steering;
         let usual = steering.usual_frames(config.data.target_frames);
-        let skeleton = config.data.humanml3d.skeleton.skeleton();
+        let skeleton = config.data.humanml3d.skeleton();
         let fps = skeleton.description().fps;
         // Each goal has its file, for warnings.
         let mut goals = Vec::new();
@@ -329,7 +329,7 @@ impl Sampler for Clips<'_> {
             &noise,
             &mut |stage, done, all| run.sink.advance(stage, done, all),
         )?;
-        let skeleton = self.trained.config().data.humanml3d.skeleton.skeleton();
+        let skeleton = self.trained.config().data.humanml3d.skeleton();
         let bounds = GroundBounds::of(self.trained);
         let grounds = samples.iter().zip(&requests);
         let grounds =

@@ -52,6 +52,10 @@ pub struct SteeringConfig {
     pub first_stage_steps: Option<usize>,
     /// Classifier-free guidance scale of the first stage. Omitted: the second stage's scale.
     pub first_stage_guidance_scale: Option<f64>,
+    /// For a path-conditioned network (`model.path`), which is given the path of a goal or of the
+    /// first stage: guidance scale of the path. Scales other than 1 and 0 sample with two passes, with
+    /// and without the path; 0 ignores it.
+    pub path_guidance_scale: f64,
     /// The loss whose gradient guides.
     pub guidance: GuidanceConfig,
     /// The timesteps at which imputation and guidance act.
@@ -70,6 +74,7 @@ impl Default for SteeringConfig {
             second_stage_guidance: true,
             first_stage_steps: None,
             first_stage_guidance_scale: None,
+            path_guidance_scale: 1.0,
             guidance: GuidanceConfig::default(),
             schedule: GuidanceSchedule::default(),
         }
@@ -125,6 +130,7 @@ impl SteeringConfig {
         in_range("max_shift", self.max_shift, ABOVE_ZERO)
             .hint("standard deviations of a step's noise; 1e6 removes the limit")?;
         in_range("attempts", self.attempts, 1..=100)?;
+        in_range("path_guidance_scale", self.path_guidance_scale, 0.0..)?;
         self.guidance.validate().within("guidance")?;
         self.schedule.validate().within("schedule")
     }

@@ -1,8 +1,9 @@
 //! Runs on clips of joint features: recipes `gmd_motion` and `gmd_trajectory`.
 
 use kinegrad_diffusion::GaussianDiffusion;
-use kinegrad_motion::Statistics;
+use kinegrad_motion::{Representation as _, Statistics};
 use kinegrad_train::clips::captions::with_captions;
+use kinegrad_train::clips::path_condition::RootTrajectories;
 use kinegrad_train::clips::training;
 use kinegrad_train::config::Config;
 use kinegrad_train::run::{Outcome, RunContext};
@@ -24,7 +25,7 @@ fn joint_motion(
         .projection()
         .map(|projection| projection_of(&own.emphasis, &projection.to_host(), channels))
         .transpose()?;
-    let skeleton = config.data.humanml3d.skeleton.skeleton();
+    let skeleton = config.data.humanml3d.skeleton();
     let projection = projection.as_ref();
     Ok(JointMotion::new(
         &own.loss, &skeleton, statistics, projection,
@@ -46,10 +47,21 @@ pub(super) fn train(context: RunContext, observer: &mut dyn Observer) -> Result<
         None => model_in_space(&config, &context.device)?,
     };
     let joint_motion = joint_motion(&own, &config, &model, &statistics)?;
+    let humanml3d = &config.data.humanml3d;
+    let fps = humanml3d.representation().fps();
+    let trajectories = || RootTrajectories::new(humanml3d.root, &statistics, fps);
+    let trajectories = model.has_path().then(trajectories);
     let diffusion = GaussianDiffusion::new(&own.diffusion)?;
     let samples = training::samples(&dataset, &statistics, channels, text_input(&config));
     let (training_data, held_out) = context.training_data(dataset, statistics, samples)?;
-    let recipe = clip_recipe(diffusion, channels, &own.loss, joint_motion, held_out)
-        .measuring_first(!own.init.diffusion.as_os_str().is_empty());
+    let recipe = clip_recipe(
+        diffusion,
+        channels,
+        &own,
+        trajectories,
+        joint_motion,
+        held_out,
+    )
+    .measuring_first(!own.init.diffusion.as_os_str().is_empty());
     context.train(training_data, recipe, model, observer)
 }

@@ -13,7 +13,7 @@ use crate::network::{TextMotionConfig, TextMotionEncoders};
 
 /// Channels of a frame that the encoders read: all channels except the contact flags.
 pub(super) fn channels(config: &Config) -> usize {
-    let skeleton = config.data.humanml3d.skeleton.skeleton();
+    let skeleton = config.data.humanml3d.skeleton();
     skeleton.layout().contacts().start
 }
 

@@ -62,6 +62,9 @@ pub struct State {
     pub kinegrad: String,
     /// Optimizer steps done.
     pub step: u64,
+    /// Steps of an epoch, for a run whose length is in epochs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub steps_per_epoch: Option<u64>,
     /// The resolved config of the run.
     #[serde(deserialize_with = "config::from_json")]
     pub config: Config,
@@ -89,6 +92,7 @@ impl State {
             format: FORMAT,
             kinegrad: env!("CARGO_PKG_VERSION").into(),
             step: 0,
+            steps_per_epoch: None,
             config,
             statistics,
             network_statistics: None,

@@ -11,6 +11,7 @@ fn state() -> State {
         format: FORMAT,
         kinegrad: "0.1.0".into(),
         step: 3,
+        steps_per_epoch: None,
         config,
         statistics: Default::default(),
         network_statistics: None,
@@ -62,7 +63,7 @@ fn numbers_that_no_config_can_hold_are_damage() {
     let run = tempfile::tempdir().expect("a folder");
     let path = saved(run.path());
     let mut state = State::read(&path).expect("a state");
-    state.config.train.max_steps = u64::MAX;
+    state.config.train.max_steps = Some(u64::MAX);
     fs::write(path.join("state.json"), state.to_text()).expect("written");
     let reason = damage(&path);
     assert!(reason.contains("`train.max_steps`"), "{reason}");

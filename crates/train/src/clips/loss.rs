@@ -8,10 +8,27 @@ use kinegrad_models::DropoutKey;
 use crate::denoising::{Conditions, Inputs, RandomInputs, denoising_loss};
 use crate::recipe::Loss;
 
+/// Weights of the channels of a distance.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ChannelWeights(Vec<f64>);
+
+impl ChannelWeights {
+    /// The weighted mean over channels: weights that add up to 1.
+    pub fn mean(weights: &[f64]) -> Self {
+        let sum: f64 = weights.iter().sum();
+        Self(weights.iter().map(|weight| weight / sum).collect())
+    }
+
+    /// The weighted sum over channels.
+    pub fn sum(weights: &[f64]) -> Self {
+        Self(weights.to_vec())
+    }
+}
+
 /// The mean over a batch of the error of a network's output:
 ///
 /// ```text
-/// weights  sum over real frames and channels  w_c |target - output| / real frames      the w_c adding up to 1
+/// weights  sum over real frames and channels  w_c |target - output| / real frames
 /// ```
 ///
 /// `loss_type` selects the distance. The loss adds `velocity` times the squared error of the
@@ -25,15 +42,15 @@ pub fn weighted_masked_loss(
     model_output: Tensor<3>,
     target: Tensor<3>,
     mask: Tensor<2>,
-    channel_weights: &[f64],
+    channel_weights: &ChannelWeights,
     velocity: f64,
     weights: Option<&[f64]>,
     loss_type: LossType,
 ) -> Tensor<1> {
     let [batch, channels, time] = model_output.dims();
-    assert_eq!(channel_weights.len(), channels, "one weight a channel");
-    let sum: f64 = channel_weights.iter().sum();
-    let shares: Vec<f32> = channel_weights.iter().map(|w| (w / sum) as f32).collect();
+    let ChannelWeights(shares) = channel_weights;
+    assert_eq!(shares.len(), channels, "one weight a channel");
+    let shares: Vec<f32> = shares.iter().map(|share| *share as f32).collect();
     let device = model_output.device();
     let shares: Tensor<3> = Tensor::from_data(TensorData::new(shares, [1, channels, 1]), &device);
     let mut distances = elementwise(model_output.clone(), target.clone(), loss_type);
@@ -66,7 +83,7 @@ pub fn clip_loss(
     diffusion: &GaussianDiffusion,
     inputs: Inputs,
     draws: RandomInputs,
-    channel_weights: &[f64],
+    channel_weights: &ChannelWeights,
     velocity: f64,
     weighted: bool,
     network: impl FnOnce(Tensor<3>, &[Time], &Conditions, DropoutKey) -> Tensor<3>,

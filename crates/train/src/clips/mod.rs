@@ -5,6 +5,7 @@ pub mod captions;
 pub mod evaluator;
 mod goals;
 mod loss;
+pub mod path_condition;
 pub mod path_target;
 pub mod settings;
 pub mod space;
@@ -12,7 +13,7 @@ mod text_plan;
 pub mod training;
 
 pub use goals::read_goal;
-pub use loss::{clip_loss, weighted_masked_loss};
+pub use loss::{ChannelWeights, clip_loss, weighted_masked_loss};
 pub use path_target::{Followed, PathTarget};
 pub use space::FeatureSpace;
 pub use text_plan::TimedPrompt;

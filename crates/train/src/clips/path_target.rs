@@ -34,6 +34,7 @@ impl PathTarget {
     /// Bodies turn with the heading of their root trajectory; sway does not turn a standing body.
     const WARP: Warp = Warp {
         along: ArcLengthMode::Stretch,
+        speed: None,
         turning: HeadingMode::Relative,
         smooth: true,
         least_speed: Warp::STANDING,

@@ -105,7 +105,7 @@ impl FeatureSpace {
         let [_, channels, frames] = x.dims();
         let rows = self.to_motion(x).swap_dims(1, 2);
         let values = rows.try_into_vec_as::<f32>().expect("samples are float32");
-        let (layout, root) = (data.skeleton.skeleton().layout(), data.root);
+        let (layout, root) = (data.skeleton().layout(), data.root);
         let clips = values.chunks(channels * frames).enumerate();
         let features = clips.map(|(index, clip)| {
             if !clip.iter().all(|value| value.is_finite()) {

@@ -5,7 +5,7 @@ use kinegrad_settings::{DocumentError, Place};
 use serde::de::DeserializeOwned;
 use toml::{Table, Value};
 
-use super::{COMMON, Config, ConfigError, MODEL_KEYS};
+use super::{COMMON, Config, ConfigError, MODEL_KEYS, alternative};
 
 /// Merges the values of `above` into `table`, table by table.
 pub fn lay_over(table: &mut Table, above: Table) {
@@ -56,7 +56,7 @@ pub(crate) fn from_table<T: DeserializeOwned>(
     Ok(kinegrad_settings::from_table(table, place, help, &beside)?)
 }
 
-/// Sets one dotted key; a value that is not TOML is taken as text, so that `run.device=cpu` needs
+/// Sets one dotted key and removes its alternative; a value that is not TOML is taken as text, so that `run.device=cpu` needs
 /// no quotes in a shell.
 pub(crate) fn apply(table: &mut Table, argument: &str) -> Result<(), ConfigError> {
     let wrong = || ConfigError::Override {
@@ -88,5 +88,9 @@ pub(crate) fn apply(table: &mut Table, argument: &str) -> Result<(), ConfigError
         })?;
     }
     current.insert(last.to_string(), value);
+    if let Some(other) = alternative(&segments.join(".")) {
+        let (_, name) = other.rsplit_once('.').expect("a dotted key");
+        current.remove(name);
+    }
     Ok(())
 }

@@ -8,8 +8,11 @@
 
 mod difference;
 mod document;
+pub mod environment;
 mod error;
+mod length;
 mod model;
+mod origins;
 mod resume;
 mod resumed;
 mod system_tables;
@@ -18,9 +21,13 @@ mod tables;
 pub(crate) use difference::difference;
 pub(crate) use document::{apply, from_table, value_at};
 pub use document::{lay_over, to_toml};
+pub use environment::EnvironmentSetting;
 pub use error::ConfigError;
+pub use length::RunLength;
+pub(crate) use length::{alternative, both, give_way, must_have_one};
 pub(crate) use model::names;
 pub use model::{ModelTable, NetworkKind};
+pub use origins::{Origin, Origins};
 pub(crate) use resume::{may_differ, must_continue, must_have_recipe};
 pub(crate) use resumed::{IgnoredKey, resumed};
 pub use system_tables::{OwnTables, SystemTables};
@@ -33,6 +40,8 @@ pub use tables::{
 pub use kinegrad_settings::Place;
 
 use kinegrad_data::DataConfig;
+use kinegrad_diffusion::{DiffusionConfig, NoiseSchedule};
+use kinegrad_settings::InvalidSetting;
 use schemars::JsonSchema;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -74,6 +83,20 @@ impl Config {
     /// Panics if the tables have not been read as `T`.
     pub fn own<T: SystemTables>(&self) -> &T {
         self.system.get().expect("tables that the system has read")
+    }
+
+    /// The noise schedule of the config's diffusion process; `None` for systems without the table
+    /// `diffusion`.
+    ///
+    /// # Errors
+    /// Names the invalid key of the process.
+    pub fn noise_schedule(&self) -> Result<Option<NoiseSchedule>, InvalidSetting> {
+        let tables = self.system.to_table();
+        let process = tables.get("diffusion").cloned();
+        let process = process.and_then(|table| table.try_into::<DiffusionConfig>().ok());
+        process
+            .map(|process| NoiseSchedule::new(&process))
+            .transpose()
     }
 
     /// The config with the system's tables replaced.

@@ -8,8 +8,9 @@ use super::{Config, difference};
 
 /// Keys and tables that a resumed run may change. The location, transport and cache of motion do
 /// not affect batches; the dataset's digest is checked separately.
-const FREE: [&str; 12] = [
+const FREE: [&str; 13] = [
     "train.max_steps",
+    "train.epochs",
     "run.device",
     "optim.offload",
     "optim.shard_states",

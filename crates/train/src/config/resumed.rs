@@ -2,7 +2,7 @@
 
 use toml::{Table, Value};
 
-use super::{Config, PLAIN, difference, may_differ, value_at};
+use super::{Config, PLAIN, alternative, difference, may_differ, value_at};
 
 /// A key of the config file that a resumed run ignores.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,7 +32,8 @@ pub(crate) fn resumed(
         let mut set = overrides
             .iter()
             .filter_map(|argument| argument.split_once('='));
-        set.any(|(set, _)| is_of(key, set.trim()))
+        let other = alternative(key);
+        set.any(|(set, _)| is_of(key, set.trim()) || other.as_deref() == Some(set.trim()))
     };
     let not_default = difference(defaults, given).into_iter();
     let not_default: Vec<String> = not_default.map(|difference| difference.key).collect();
@@ -59,7 +60,7 @@ pub(crate) fn resumed(
 }
 
 /// True if a dotted key is `table` or below it.
-fn is_of(key: &str, table: &str) -> bool {
+pub(super) fn is_of(key: &str, table: &str) -> bool {
     let rest = key.strip_prefix(table);
     rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
 }
@@ -111,7 +112,7 @@ mod tests {
     #[test]
     fn what_a_run_was_started_with_stays_and_the_file_is_named() {
         let (config, ignored) = resume(FILE, &["train.max_steps=300"], &[]);
-        assert_eq!(config.train.max_steps, 300);
+        assert_eq!(config.train.max_steps, Some(300));
         assert_eq!(ignored, ["train.max_steps"]);
         // A key that is not in the file gives no warning.
         let (config, ignored) = resume(FILE, &["checkpoint.keep_last=7"], &[]);
@@ -122,9 +123,27 @@ mod tests {
     #[test]
     fn the_command_line_extends_a_run() {
         let (config, ignored) = resume(FILE, &["train.max_steps=300"], &["train.max_steps=600"]);
-        assert_eq!((config.train.max_steps, ignored), (600, Vec::new()));
+        assert_eq!((config.train.max_steps, ignored), (Some(600), Vec::new()));
         let (config, _) = resume(FILE, &[], &["data.source=elsewhere"]);
         assert_eq!(config.data.source.as_deref(), Some("elsewhere"));
+    }
+
+    #[test]
+    fn epochs_and_steps_replace_each_other() {
+        let (config, ignored) = resume(FILE, &["train.epochs=3"], &["train.max_steps=9"]);
+        let length = (config.train.max_steps, config.train.epochs);
+        assert_eq!((length, ignored), ((Some(9), None), Vec::new()));
+        let (config, ignored) = resume("train = { epochs = 3 }", &[], &["train.max_steps=9"]);
+        let length = (config.train.max_steps, config.train.epochs);
+        assert_eq!((length, ignored), ((Some(9), None), Vec::new()));
+        let (config, _) = resume(FILE, &[], &["train.epochs=4"]);
+        let length = (config.train.max_steps, config.train.epochs);
+        assert_eq!(length, (None, Some(4)));
+        // The run was started with epochs; the file still has steps.
+        let (config, ignored) = resume(FILE, &["train.epochs=3"], &[]);
+        let length = (config.train.max_steps, config.train.epochs);
+        assert_eq!(length, (None, Some(3)));
+        assert_eq!(ignored, ["train.max_steps"]);
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use kinegrad_diffusion::{ClipRange, SamplerConfig};
 use kinegrad_kernels::Precision;
 use kinegrad_motion::Statistics;
-use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, in_range, require};
+use kinegrad_settings::{ABOVE_ZERO, InvalidSetting, Refused, in_range, require};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -34,7 +34,7 @@ impl Default for RunConfig {
     }
 }
 
-/// Learning rate schedule after the warm-up, over the rest of `train.max_steps`.
+/// Learning rate schedule after the warm-up, over the rest of the steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LrSchedule {
@@ -152,8 +152,14 @@ impl TrainPrecision {
 pub struct TrainConfig {
     /// The training recipe, which belongs to one system.
     pub recipe: String,
-    /// Total number of optimizer steps.
-    pub max_steps: u64,
+    /// Total number of optimizer steps. Omitted: 16400, or `epochs`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_steps: Option<u64>,
+    /// Total number of epochs, instead of `max_steps`. An epoch has the training items divided by
+    /// the items of a step (`data.batch_size` times `gradient_accumulation_steps`) as steps, rounded
+    /// up.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub epochs: Option<u64>,
     /// Number of batches whose gradients are averaged for one step, weighted by valid frames. The
     /// batches together act as one large batch.
     pub gradient_accumulation_steps: u64,
@@ -173,7 +179,8 @@ impl Default for TrainConfig {
     fn default() -> Self {
         Self {
             recipe: "diffusion".into(),
-            max_steps: 16_400,
+            max_steps: None,
+            epochs: None,
             gradient_accumulation_steps: 1,
             precision: TrainPrecision::default(),
             max_grad_norm: 1.0,
@@ -216,8 +223,12 @@ impl Default for EmaConfig {
 #[serde(default, deny_unknown_fields)]
 pub struct CheckpointConfig {
     /// Steps between checkpoints; training also writes a checkpoint at the end and at each best
-    /// validation.
-    pub every_steps: u64,
+    /// validation. Omitted: 500, or `every_epochs`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub every_steps: Option<u64>,
+    /// Epochs between checkpoints, instead of `every_steps`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub every_epochs: Option<u64>,
     /// Number of latest checkpoints to keep, in addition to the best checkpoint.
     pub keep_last: usize,
 }
@@ -225,7 +236,8 @@ pub struct CheckpointConfig {
 impl Default for CheckpointConfig {
     fn default() -> Self {
         Self {
-            every_steps: 500,
+            every_steps: None,
+            every_epochs: None,
             keep_last: 3,
         }
     }
@@ -250,8 +262,12 @@ pub enum SelectBy {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ValidationConfig {
-    /// Steps between validations; 0 disables validation.
-    pub every_steps: u64,
+    /// Steps between validations; 0 disables validation. Omitted: 500, or `every_epochs`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub every_steps: Option<u64>,
+    /// Epochs between validations, instead of `every_steps`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub every_epochs: Option<u64>,
     /// Number of noise samples per held-out phrase for the diffusion loss; a rollout is sampled
     /// once.
     pub draws: usize,
@@ -268,7 +284,8 @@ pub struct ValidationConfig {
 impl Default for ValidationConfig {
     fn default() -> Self {
         Self {
-            every_steps: 500,
+            every_steps: None,
+            every_epochs: None,
             draws: 8,
             select_by: SelectBy::Loss,
             select_samples: 32,
@@ -290,17 +307,46 @@ pub enum ClipSample {
     Unit,
     /// -6 to 6 in normalized units, as for the published trajectory model.
     Six,
+    /// `-clip_range` to `clip_range` in normalized units.
+    Symmetric,
     /// No clipping.
     None,
 }
 
 impl ClipSample {
-    /// The bounds of the first `channels`, in normalized units.
+    /// Rejects a `clip_range` that is missing, without use or not positive; `table` contains both.
+    ///
+    /// # Errors
+    /// Names the key.
+    pub fn validate(self, clip_range: Option<f64>, table: &str) -> Result<(), InvalidSetting> {
+        let hint = "for example 2.5; the bounds are in standard deviations of normalized motion";
+        let checked = match (self, clip_range) {
+            (Self::Symmetric, Some(bound)) => in_range("clip_range", bound, 1e-6..=1e6),
+            (Self::Symmetric, None) => require(
+                false,
+                "clip_range",
+                "not set",
+                "a number with `clip = \"symmetric\"`",
+            ),
+            (_, Some(bound)) => require(
+                false,
+                "clip_range",
+                bound,
+                "nothing without `clip = \"symmetric\"`",
+            ),
+            (_, None) => Ok(()),
+        };
+        checked.within(table).hint(hint)
+    }
+
+    /// The bounds of the first `channels`, in normalized units; `clip_range` is the bound of
+    /// [`Symmetric`](Self::Symmetric).
     ///
     /// # Errors
     /// If the range of the training motion is needed but not known.
     pub fn range(
         self,
+        clip_range: Option<f64>,
         statistics: &Statistics,
         channels: usize,
     ) -> Result<ClipRange, InvalidSetting> {
@@ -319,6 +365,7 @@ impl ClipSample {
             }
             Self::Unit => ClipRange::Symmetric(1.0),
             Self::Six => ClipRange::Symmetric(6.0),
+            Self::Symmetric => ClipRange::Symmetric(clip_range.unwrap_or(1.0) as f32),
             Self::None => ClipRange::None,
         })
     }
@@ -337,8 +384,25 @@ pub struct SamplingConfig {
     pub preview_every_steps: u64,
     /// The clipping range of the predicted clean motion.
     pub clip: ClipSample,
+    /// The bound of `clip = "symmetric"`, in standard deviations; only with it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub clip_range: Option<f64>,
     /// The sampler.
     pub sampler: SamplerConfig,
+}
+
+impl SamplingConfig {
+    /// The bounds of the predicted clean motion, in normalized units.
+    ///
+    /// # Errors
+    /// As [`ClipSample::range`].
+    pub fn clip_bounds(
+        &self,
+        statistics: &Statistics,
+        channels: usize,
+    ) -> Result<ClipRange, InvalidSetting> {
+        self.clip.range(self.clip_range, statistics, channels)
+    }
 }
 
 /// Rejects invalid values in the tables of training.
@@ -349,6 +413,7 @@ pub(crate) fn validate(config: &Config, recipe: &RecipeInfo) -> Result<(), Inval
         ema,
         checkpoint,
         validation,
+        sampling,
         ..
     } = config;
     let accumulation = train.gradient_accumulation_steps;
@@ -357,10 +422,18 @@ pub(crate) fn validate(config: &Config, recipe: &RecipeInfo) -> Result<(), Inval
         accumulation,
         1..=65_536,
     )?;
-    in_range("train.max_steps", train.max_steps, 1..)?;
+    sampling.clip.validate(sampling.clip_range, "sampling")?;
+    for (key, count) in [
+        ("train.max_steps", train.max_steps),
+        ("train.epochs", train.epochs),
+        ("checkpoint.every_steps", checkpoint.every_steps),
+        ("checkpoint.every_epochs", checkpoint.every_epochs),
+        ("validation.every_epochs", validation.every_epochs),
+    ] {
+        in_range(key, count.unwrap_or(1), 1..)?;
+    }
     in_range("train.log_every_steps", train.log_every_steps, 1..)?;
     in_range("train.max_grad_norm", train.max_grad_norm, 0.0..)?;
-    in_range("checkpoint.every_steps", checkpoint.every_steps, 1..)?;
     in_range("checkpoint.keep_last", checkpoint.keep_last, 1..)?;
     in_range("validation.draws", validation.draws, 1..=1_000)?;
     let samples = validation.select_samples;

@@ -20,6 +20,7 @@ use crate::observer::{Observer, RunSummary};
 use crate::parameter_count::ParameterCount;
 use crate::process_group::ProcessGroup;
 use crate::recipe::{Recipe, RecipeInfo};
+use crate::system::longer_warmup;
 use crate::telemetry::Environment;
 use crate::trainer::restore::check_moments;
 use crate::trainer::{Ending, Trainer, TrainerParts};
@@ -33,6 +34,8 @@ pub struct Outcome {
     pub ending: Option<Ending>,
     /// Steps done.
     pub step: u64,
+    /// Steps in total.
+    pub max_steps: u64,
     /// Best validation.
     pub progress: Progress,
     /// The resolved config.
@@ -143,10 +146,8 @@ impl RunContext {
     ) -> Result<(TrainingData, HeldOut), Error> {
         let config = &self.config;
         if config.sampling.count_at_end > 0 || config.sampling.preview_every_steps > 0 {
-            config
-                .sampling
-                .clip
-                .range(&statistics, statistics.channels())?;
+            let channels = statistics.channels();
+            config.sampling.clip_bounds(&statistics, channels)?;
         }
         let held_out = samples(dataset.validation.load()?.into(), config);
         let training_data = TrainingData {
@@ -210,13 +211,20 @@ impl RunContext {
             folder: self.folder,
             ending: None,
             step: state.map_or(0, |state| state.step),
+            max_steps: 0,
             progress: state.map_or_else(Progress::default, |state| state.progress.clone()),
             config: self.config,
             plan: None,
             lock: self.lock,
         };
         let on_host = crate::device::is_host(&self.device_name);
-        let max_steps = outcome.config.train.max_steps;
+        let steps_per_epoch = outcome.config.steps_per_epoch(training_data.train);
+        let max_steps = outcome.config.length(steps_per_epoch).max_steps;
+        outcome.max_steps = max_steps;
+        if outcome.config.train.epochs.is_some() {
+            let warning = longer_warmup(&outcome.config, max_steps);
+            warning.iter().for_each(|text| observer.warning(text));
+        }
         let summary = RunSummary {
             name: outcome.config.run.name.clone(),
             folder: outcome.folder.clone(),
@@ -257,15 +265,16 @@ impl RunContext {
                 return Ok(outcome);
             }
             let validation = &mut outcome.config.validation;
-            if validation.every_steps > 0 && training_data.validation == 0 {
+            if validation.is_enabled() && training_data.validation == 0 {
                 observer.warning("nothing is held out: there is no validation and no best step");
-                validation.every_steps = 0;
+                validation.disable();
             }
         }
         let config = &outcome.config;
         let parts = TrainerParts {
             recipe,
             groups: info.groups,
+            steps_per_epoch,
             statistics: training_data.statistics,
             network_statistics: training_data.network_statistics,
             device: self.device,

@@ -89,6 +89,7 @@ impl Plan {
         observer: &mut dyn Observer,
     ) -> Result<Self, Error> {
         let config = parts.config.clone();
+        let length = config.length(parts.steps_per_epoch);
         let statistics = parts.network_statistics.as_ref();
         let channels = statistics.unwrap_or(&parts.statistics).channels();
         let before = memory::taken();
@@ -109,7 +110,7 @@ impl Plan {
                 // The first step allocates memory and reads files that are cached afterwards.
                 times.remove(0);
             }
-            let every = config.validation.every_steps;
+            let every = length.validate_every;
             if every > 0 && summary.validation_phrases > 0 {
                 let (done, all) = (summary.step, summary.max_steps);
                 // Validation runs every `every` steps and after the last.
@@ -131,10 +132,10 @@ impl Plan {
         let step_seconds = mean.map(|mean| mean.as_secs_f64());
         let left = summary.max_steps.saturating_sub(summary.step);
         let parameters = &summary.parameters;
-        let best = u64::from(config.validation.every_steps > 0);
+        let best = u64::from(config.validation.is_enabled());
         // Two moments of trained parameters; weights and average of all parameters.
         let checkpoint_bytes = NUMBER * (2 * parameters.all + 2 * parameters.trained) as u64;
-        let written = left.div_ceil(config.checkpoint.every_steps.max(1)) + 1;
+        let written = left.div_ceil(length.checkpoint_every.max(1)) + 1;
         let checkpoints = (config.checkpoint.keep_last as u64 + best).min(written);
         // The copy of the weights for a checkpoint.
         let writing = NUMBER * parameters.all as u64;

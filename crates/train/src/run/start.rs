@@ -13,7 +13,7 @@ use super::folder::{
     must_have_own_files,
 };
 use crate::checkpoint::Checkpoints;
-use crate::config::{self, Config, OptimPlace};
+use crate::config::{self, Config, EnvironmentSetting, OptimPlace, Origins};
 use crate::error::Error;
 use crate::memory;
 use crate::observer::Observer;
@@ -38,6 +38,9 @@ pub struct TrainRequest {
     pub target: Target,
     /// `KEY=VALUE` overrides.
     pub overrides: Vec<String>,
+    /// Settings of the environment, below the overrides and above the config file. A resumed run
+    /// takes those that [may differ](config::may_differ).
+    pub environment: Vec<EnvironmentSetting>,
     /// Folder that contains the runs; unused for [`Target::Folder`].
     pub runs_dir: PathBuf,
     /// Validate everything and measure a step, but write nothing: the [`Outcome`] has a plan.
@@ -85,17 +88,25 @@ fn launch(
             "plan the run in one process, without the launcher",
         ));
     }
-    let (overrides, dry_run) = (&request.overrides, request.dry_run);
+    let dry_run = request.dry_run;
+    let with_environment = |config: &Config, resumes: bool| {
+        let mut used = systems.used(&request.environment, config);
+        used.retain(|setting| !resumes || config::may_differ(setting.key));
+        with(&used, &request.overrides)
+    };
     let path = match &request.target {
         Target::New(path) | Target::Resumed(path) => path,
         Target::Folder(folder) => {
             let saved = saved_of(systems, folder)?;
-            let given = systems.parse(&config::to_toml(&saved), SAVED, overrides)?;
+            let overrides = with_environment(&saved, true);
+            let given = systems.parse(&config::to_toml(&saved), SAVED, &overrides)?;
             let folder = folder.clone();
             return train_in(systems, given, folder, true, dry_run, group, observer);
         }
     };
     let resume = matches!(request.target, Target::Resumed(_));
+    let plain = systems.load(path, &request.overrides)?;
+    let overrides = &with_environment(&plain, resume);
     let mut config = systems.load(path, overrides)?;
     if config.run.name.is_empty() {
         let stem = path.file_stem().unwrap_or_default();
@@ -122,6 +133,12 @@ fn launch(
     train_in(systems, config, folder, resume, dry_run, group, observer)
 }
 
+/// The overrides after those of the environment.
+fn with(environment: &[EnvironmentSetting], overrides: &[String]) -> Vec<String> {
+    let environment = environment.iter().map(EnvironmentSetting::argument);
+    environment.chain(overrides.iter().cloned()).collect()
+}
+
 /// The config of a resumed run, and warnings for other values in the file.
 fn resumed(
     systems: Systems<'_>,
@@ -133,8 +150,7 @@ fn resumed(
 ) -> Result<Config, Error> {
     let recipe = format!("[train]\nrecipe = \"{}\"", given.train.recipe);
     let defaults = systems.parse(&recipe, "the defaults", &[])?;
-    let file = read_text(path).ok().and_then(|text| text.parse().ok());
-    let file: Table = file.unwrap_or_default();
+    let file = file_of(path);
     let (table, ignored) = config::resumed(saved, given, &defaults, &file, overrides);
     for config::IgnoredKey { key, saved, given } in ignored {
         let (file, set) = (path.display(), given.trim_matches('"'));
@@ -170,8 +186,9 @@ fn saved_of(systems: Systems<'_>, folder: &Path) -> Result<Config, Error> {
     }
 }
 
-/// Reads a config with the values inherited from its initial checkpoints. If a checkpoint is
-/// missing, calls `warn` and returns the config without inherited values.
+/// Reads a config with the `environment` and the values inherited from its initial checkpoints, and
+/// the origins of its values. If a checkpoint is missing, calls `warn` and returns the config without
+/// inherited values.
 ///
 /// # Errors
 /// If the config cannot be read.
@@ -179,18 +196,38 @@ pub fn load_config(
     systems: Systems<'_>,
     path: &Path,
     overrides: &[String],
+    environment: &[EnvironmentSetting],
     warn: &mut dyn FnMut(&Error),
-) -> Result<Config, Error> {
+) -> Result<(Config, Origins), Error> {
+    let keys = overrides.iter().filter_map(|set| set.split_once('='));
+    let mut origins = Origins {
+        overrides: keys.map(|(key, _)| key.trim().to_owned()).collect(),
+        environment: systems.used(environment, &systems.load(path, overrides)?),
+        file: file_of(path),
+        inherited: Table::new(),
+    };
+    let overrides = &with(&origins.environment, overrides);
     let config = systems.load(path, overrides)?;
     let (system, _) = systems.of(&config)?;
-    match system.inherited(&config, None) {
-        Ok(Some(beneath)) => Ok(systems.load_over(path, overrides, &beneath)?),
-        Ok(None) => Ok(config),
+    let config = match system.inherited(&config, None) {
+        Ok(Some(beneath)) => {
+            let config = systems.load_over(path, overrides, &beneath)?;
+            origins.inherited = beneath;
+            config
+        }
+        Ok(None) => config,
         Err(error) => {
             warn(&error);
-            Ok(config)
+            config
         }
-    }
+    };
+    Ok((config, origins))
+}
+
+/// The keys of a config file that has been read before.
+fn file_of(path: &Path) -> Table {
+    let file = read_text(path).ok().and_then(|text| text.parse().ok());
+    file.unwrap_or_default()
 }
 
 /// The config beside the checkpoints of the run in `folder`, if the file exists.

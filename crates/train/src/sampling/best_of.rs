@@ -253,6 +253,7 @@ mod tests {
             ..Record::blank(SamplerRecord {
                 settings: SamplerConfig::default(),
                 clip: ClipSample::default(),
+                clip_range: None,
                 padding: None,
                 steering: None,
             })

@@ -173,6 +173,9 @@ pub struct SamplerRecord {
     pub settings: SamplerConfig,
     /// The clipping range of the predicted clean motion.
     pub clip: ClipSample,
+    /// The bound of `clip = "symmetric"`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clip_range: Option<f64>,
     /// The padding of a clip; only for clips of Guided Motion Diffusion.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub padding: Option<Value>,
@@ -197,6 +200,7 @@ impl Record {
             ..Self::blank(SamplerRecord {
                 settings: config.sampling.sampler.clone(),
                 clip: config.sampling.clip,
+                clip_range: config.sampling.clip_range,
                 padding: None,
                 steering: None,
             })

@@ -9,7 +9,10 @@ use super::{System, Systems};
 use kinegrad_data::file::read_text;
 
 use crate::checkpoint::{SavedCheckpoint, Weights};
-use crate::config::{self, Config, ConfigError, Place, TrainConfig, apply, difference, lay_over};
+use crate::config::{
+    self, Config, ConfigError, EnvironmentSetting, Place, TrainConfig, alternative, apply,
+    difference, give_way, lay_over,
+};
 use crate::device::open_for;
 use crate::error::Error;
 use crate::trained_model::TrainedModel;
@@ -34,11 +37,35 @@ impl Systems<'_> {
         self.load(path, overrides)?;
         let text = read(path)?;
         let mut table = beneath.clone();
-        lay_over(&mut table, text.parse().expect("text that was just parsed"));
+        let file: Table = text.parse().expect("text that was just parsed");
+        give_way(&mut table, &file);
+        lay_over(&mut table, file);
         for argument in overrides {
             apply(&mut table, argument)?;
         }
         self.complete(&table, &|_| path.display().to_string())
+    }
+
+    /// The settings of the `environment` that `config` uses.
+    pub(crate) fn used(
+        self,
+        environment: &[EnvironmentSetting],
+        config: &Config,
+    ) -> Vec<EnvironmentSetting> {
+        let is_used = |setting: &&EnvironmentSetting| match setting.key {
+            "run.device" => true,
+            "data.source" => config.data.kind.has_source(),
+            _ => {
+                let mut table = Table::try_from(config).expect(config::PLAIN);
+                let changed = apply(&mut table, &setting.argument());
+                let changed = changed.and_then(|()| self.read(&table, &|_| String::new()));
+                changed.is_ok_and(|changed| {
+                    let system = self.of(&changed);
+                    system.is_ok_and(|(system, _)| system.must_use(&changed).is_ok())
+                })
+            }
+        };
+        environment.iter().filter(is_used).cloned().collect()
     }
 
     /// [`load`](Self::load) from text; errors name `origin` instead of a file.
@@ -64,6 +91,7 @@ impl Systems<'_> {
     fn overridden(self, table: &mut Table, overrides: &[String]) -> Result<Config, ConfigError> {
         let before = table.clone();
         let place = |argument: &str| format!("option `set {argument}`");
+        must_set_one(overrides)?;
         for argument in overrides {
             apply(table, argument)?;
         }
@@ -137,6 +165,7 @@ impl Systems<'_> {
     /// [`complete`](Self::complete) without hints in errors.
     pub(super) fn read(self, given: &Table, place: Place<'_>) -> Result<Config, ConfigError> {
         must_be_finite(given, place)?;
+        config::must_have_one(given, place)?;
         let named = given.get("train").and_then(|train| train.get("recipe"));
         let default = TrainConfig::default().recipe;
         // Values of other types are rejected below.
@@ -147,10 +176,12 @@ impl Systems<'_> {
             ConfigError::from(not_among(place(key), key, &format!("\"{name}\""), &names))
         })?;
         let mut table = system.defaults(recipe, given);
+        give_way(&mut table, given);
         lay_over(&mut table, given.clone());
         let config: Config = config::from_table(&table, place)?;
         let system = system.complete(&config.system.to_table(), place)?;
-        let config = Config { system, ..config };
+        let mut config = Config { system, ..config };
+        config.complete_length();
         must_be_tables(given, &config, place)?;
         Ok(config)
     }
@@ -164,12 +195,8 @@ impl Systems<'_> {
         config.data.validate()?;
         config::validate(config, recipe)?;
         let mut warnings = system.validate(config)?;
-        if config.optim.warmup_steps > config.train.max_steps {
-            warnings.push(format!(
-                "`optim.warmup_steps` ({}) is longer than `train.max_steps` ({}): the learning \
-                 rate never reaches `optim.learning_rate`",
-                config.optim.warmup_steps, config.train.max_steps
-            ));
+        if let Some(max_steps) = config.train.max_steps {
+            warnings.extend(longer_warmup(config, max_steps));
         }
         Ok(warnings)
     }
@@ -244,6 +271,36 @@ impl dyn System + '_ {
     }
 }
 
+/// A warning if the warm-up is longer than a run of `max_steps`.
+pub(crate) fn longer_warmup(config: &Config, max_steps: u64) -> Option<String> {
+    let warmup = config.optim.warmup_steps;
+    (warmup > max_steps).then(|| {
+        let key = match config.train.epochs {
+            None => "`train.max_steps`".to_owned(),
+            Some(epochs) => format!("the steps of `train.epochs = {epochs}`"),
+        };
+        format!(
+            "`optim.warmup_steps` ({warmup}) is longer than {key} ({max_steps}): the learning rate \
+             never reaches `optim.learning_rate`"
+        )
+    })
+}
+
+/// Rejects overrides of both a number of steps and of epochs.
+fn must_set_one(overrides: &[String]) -> Result<(), ConfigError> {
+    let keys = overrides.iter().filter_map(|set| set.split_once('='));
+    let keys: Vec<&str> = keys.map(|(key, _)| key.trim()).collect();
+    for key in &keys {
+        if let Some(other) = alternative(key)
+            && keys.contains(&other.as_str())
+        {
+            let place = format!("option `set {key}`");
+            return Err(config::both(place, (*key).into(), &other));
+        }
+    }
+    Ok(())
+}
+
 /// The names of tables as a list: "`a`, `b` and `c`".
 fn listed(tables: &[&str]) -> String {
     let quoted: Vec<String> = tables.iter().map(|table| format!("`{table}`")).collect();
@@ -252,10 +309,11 @@ fn listed(tables: &[&str]) -> String {
 }
 
 /// Keys of `sampling.sampler` that belong to some kinds only.
-const OF_SAMPLER_KINDS: [&str; 6] = [
+const OF_SAMPLER_KINDS: [&str; 7] = [
     "eta",
     "final_alpha",
     "recompute_epsilon",
+    "variance_type",
     "tolerance",
     "timestep_spacing",
     "guidance_until",

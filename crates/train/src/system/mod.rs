@@ -7,6 +7,7 @@ mod load;
 mod sample;
 
 pub use keys::{ConfigKey, toml_text};
+pub(crate) use load::longer_warmup;
 
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -45,7 +46,7 @@ pub trait System: Sync {
 
     /// Frames per second of the training motion of `config`.
     fn fps(&self, config: &Config) -> f64 {
-        config.data.humanml3d.skeleton.skeleton().description().fps
+        config.data.humanml3d.skeleton().description().fps
     }
 
     /// Default values of the recipe for keys that are missing in `given`, the config as written.

@@ -71,6 +71,7 @@ impl<'a, R: Recipe> Saving<'a, R> {
             format: FORMAT,
             kinegrad: env!("CARGO_PKG_VERSION").to_string(),
             step,
+            steps_per_epoch: parts.config.train.epochs.map(|_| parts.steps_per_epoch),
             config: parts.config.clone(),
             statistics: parts.statistics.clone(),
             network_statistics: parts.network_statistics.clone(),

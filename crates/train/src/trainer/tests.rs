@@ -100,6 +100,7 @@ fn trainer_with(batches: usize, states: &str, on_host: bool) -> Trainer<Squares>
     let parts = TrainerParts {
         recipe: Squares,
         groups: &["model"],
+        steps_per_epoch: 1,
         loader: Loader::new(samples, &config.data, 1, 0),
         config,
         statistics,

@@ -40,6 +40,7 @@ fn golden_composition_decode(golden: Golden) {
     let composed = Composed {
         network: &network,
         path: None,
+        path_guidance_scale: 1.0,
         segments: script,
         switch: switch(&golden),
     };

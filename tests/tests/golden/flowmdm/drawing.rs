@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_bpe_transformer::network::{BlendedTransformer, Composed, TextSegments};
 use kinegrad_diffusion::{
-    ClipRange, FixedNoise, NoiseKeys, Prediction, PredictionType, Time, TimestepPath, ddpm,
+    ClipRange, Ddpm, FixedNoise, NoiseKeys, Prediction, PredictionType, Time, TimestepPath, ddpm,
     ddpm_step, guided,
 };
 use kinegrad_tests::golden::{Golden, GoldenTensors as _};
@@ -87,7 +87,14 @@ impl Drawing<'_> {
             let given = Some(Tensor::from_data(given, &device));
             let before = [timesteps.get(step + 1).copied()];
             let prediction = prediction.expect("sizes fit");
-            x = ddpm_step(&diffusion, &prediction, &[t], &before, given, None);
+            x = ddpm_step(
+                &diffusion,
+                &prediction,
+                &[t],
+                &before,
+                [given, None],
+                &Ddpm::default(),
+            );
             states.push(x.clone());
         }
         [states, predicted]

@@ -67,7 +67,7 @@ fn network(golden: &Golden, device: &Device) -> BlendedTransformer {
         ff_size: shape("seqTransEncoder.attn_layers.layers.1.1.ff.0.0.weight")[0],
         horizon: number(golden, "in.horizon") as usize,
         dropout: 0.0,
-        path: false,
+        ..BlendedConfig::flowmdm()
     };
     let channels = shape("input_process.poseEmbedding.weight")[1];
     let text = shape("embed_text.weight")[1];

@@ -137,6 +137,7 @@ fn golden_blended_single_text(golden: Golden) {
         let composed = Composed {
             network: &plain,
             path: None,
+            path_guidance_scale: 1.0,
             segments: script.clone(),
             switch,
         };
@@ -161,6 +162,7 @@ fn golden_blended_single_text(golden: Golden) {
     let composed = Composed {
         network: &plain,
         path: None,
+        path_guidance_scale: 1.0,
         segments: script,
         switch,
     };

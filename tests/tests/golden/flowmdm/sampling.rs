@@ -3,7 +3,7 @@
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_bpe_transformer::network::{Composed, Switch};
 use kinegrad_diffusion::{
-    ClipRange, Denoiser as _, Prediction, PredictionType, Time, ddpm_step, guided,
+    ClipRange, Ddpm, Denoiser as _, Prediction, PredictionType, Time, ddpm_step, guided,
 };
 use kinegrad_tests::golden::{Golden, ReferenceTensors as _, values};
 use kinegrad_tests::trials;
@@ -91,6 +91,7 @@ fn golden_composition_sampling(golden: Golden) {
     let composed = |bpe_denoising_step: i64| Composed {
         network: &network,
         path: None,
+        path_guidance_scale: 1.0,
         segments: script.clone(),
         switch: Switch {
             bpe_denoising_step,
@@ -124,8 +125,12 @@ fn golden_composition_sampling(golden: Golden) {
         );
         let prediction = prediction.expect("sizes fit");
         let before = [t.checked_sub(1)];
-        let mean = ddpm_step(&diffusion, &prediction, &[t], &before, None, None);
-        let sample = ddpm_step(&diffusion, &prediction, &[t], &before, Some(noise), None);
+        let step = |noise| {
+            let ddpm = Ddpm::default();
+            ddpm_step(&diffusion, &prediction, &[t], &before, [noise, None], &ddpm)
+        };
+        let mean = step(None);
+        let sample = step(Some(noise));
         for (name, found) in [
             ("cond", cond),
             ("uncond", uncond),

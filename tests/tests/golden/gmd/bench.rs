@@ -2,7 +2,7 @@
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
-    BetaSchedule, ClipRange, Denoiser, DiffusionConfig, GaussianDiffusion, Networks,
+    BetaSchedule, ClipRange, Ddpm, Denoiser, DiffusionConfig, GaussianDiffusion, Networks,
     PredictionType, Steering, Time, ddpm_step, steered_prediction,
 };
 use kinegrad_gmd::network::Backbone;
@@ -141,7 +141,8 @@ impl<'a> Bench<'a> {
         // No noise is added at timestep 0.
         let noise = noise.filter(|_| timestep > 0);
         let diffusion = &self.diffusion;
-        let prev_sample = ddpm_step(diffusion, &prediction, &now, &next, noise, imputation_noise);
+        let (noises, ddpm) = ([noise, imputation_noise], Ddpm::default());
+        let prev_sample = ddpm_step(diffusion, &prediction, &now, &next, noises, &ddpm);
         let steered = prediction.steered.expect("a steered prediction");
         let of_motion = diffusion.config.prediction_type == PredictionType::Sample;
         Step {

@@ -116,7 +116,7 @@ fn golden_gmd_whole_model(golden: Golden) {
         .assert_within("uncond", uncond, WHOLE, 0.0);
 
     let mut stages = Noted::default();
-    let y = network.forward_stages(x.clone(), &at, text.clone(), None, &mut stages);
+    let y = network.forward_stages(x.clone(), &at, text.clone(), None, None, &mut stages);
     compare_padding(&golden, &stages);
     golden
         .get("out.y")

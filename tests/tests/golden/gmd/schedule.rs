@@ -2,8 +2,8 @@
 
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
-    ClipRange, Prediction, PredictionType, SamplerConfig, SamplerKind, TimestepSpacing, Timesteps,
-    ddpm_step, timesteps,
+    ClipRange, Ddpm, Prediction, PredictionType, SamplerConfig, SamplerKind, TimestepSpacing,
+    Timesteps, VarianceType, ddpm_step, timesteps,
 };
 use kinegrad_tests::golden::{Golden, values, wide};
 use kinegrad_tests::trials;
@@ -102,11 +102,11 @@ fn golden_gmd_schedule_respaced(golden: Golden) {
     let diffusion = process(PredictionType::Sample);
     let schedule = &diffusion.schedule;
     let map = golden.get("out.ddim100_timestep_map").values;
-    let respaced = SamplerKind::Ddpm(Timesteps {
+    let respaced = Timesteps {
         timestep_spacing: TimestepSpacing::Leading,
         guidance_until: 0,
-    });
-    let respaced = SamplerConfig::new(respaced, map.len());
+    };
+    let respaced = SamplerConfig::new(SamplerKind::Ddpm(respaced.into()), map.len());
     let mut kept = timesteps(&respaced, schedule.num_train_timesteps());
     kept.reverse();
     let found: Vec<f64> = kept.iter().map(|&t| t as f64).collect();
@@ -130,17 +130,29 @@ fn golden_gmd_schedule_respaced(golden: Golden) {
     // Steps of all jumps at once, on a motion, a state or a noise of 1 alone, are their factors.
     let device = Device::flex();
     let shape = [kept.len(), 1, 1];
-    let factor = |motion: f64, state: f64, noise: f64| -> Vec<f64> {
+    let step = |motion: f64, state: f64, noise: f64, config: Ddpm| -> Vec<f64> {
         let full = |value: f64| Tensor::<3>::full(shape, value, &device);
         let (motion, state, noise) = (full(motion), full(state), Some(full(noise)));
         let prediction = Prediction::new(&diffusion, motion, state, &kept, &ClipRange::None);
         let prediction = prediction.expect("sizes that fit");
-        let sample = ddpm_step(&diffusion, &prediction, &kept, &before, noise, None);
+        let noises = [noise, None];
+        let sample = ddpm_step(&diffusion, &prediction, &kept, &before, noises, &config);
         wide(&values(sample))
     };
+    let factor = |motion, state, noise| step(motion, state, noise, Ddpm::default());
     let stored = golden.get("out.ddim100_posterior_variance");
     let variance: Vec<f64> = factor(0.0, 0.0, 1.0).iter().map(|v| v * v).collect();
     stored.assert_within_f64("variance of a jump", &variance, 0.0, SINGLE);
+    // The larger variance is the beta of the jump, and 0 at the end.
+    let fixed_large = Ddpm {
+        variance_type: VarianceType::FixedLarge,
+        ..Ddpm::default()
+    };
+    let large = step(0.0, 0.0, 1.0, fixed_large);
+    let large: Vec<f64> = large.iter().map(|v| v * v).collect();
+    let mut expected = golden.get("out.ddim100_betas").values;
+    expected[0] = 0.0;
+    golden.compare_lists("larger variance", &large, &expected, SINGLE);
     // The factors of the motion and the state, from the reference's own tables.
     let stored = |name: &str| golden.get(&format!("out.ddim100_{name}")).values;
     let (abar, betas) = (stored("alphas_cumprod"), stored("betas"));

@@ -5,7 +5,7 @@ use kinegrad_diffusion::{LossType, PredictionType};
 use kinegrad_tests::golden::{Golden, GoldenTensors, ReferenceTensors};
 use kinegrad_tests::trials;
 use kinegrad_tests::trials::GoldenTest;
-use kinegrad_train::clips::weighted_masked_loss;
+use kinegrad_train::clips::{ChannelWeights, weighted_masked_loss};
 
 use super::bench::process;
 
@@ -52,6 +52,7 @@ fn golden_gmd_trajectory_loss(golden: Golden) {
             let target = diffusion.target(x_start.clone(), noise.clone(), &timesteps);
             let mut weights = vec![1.0; channels];
             weights[..4].fill(k * k);
+            let weights = ChannelWeights::mean(&weights);
             // The loss of each sample, then the batch's mean.
             let name = format!("{kind}.k{k}");
             for sample in 0..batch {
@@ -96,12 +97,12 @@ fn golden_gmd_trajectory_loss(golden: Golden) {
 }
 
 /// Equation 5 as the appendix prints it: for each frame, padded or not, the sum over channels with
-/// the factor at three of them. That is the loss of the frame without the weights' normalisation.
+/// the factor at three of them.
 fn literal(golden: &Golden, name: &str, output: &Tensor<3>, target: &Tensor<3>, k: f64) {
     let [batch, channels, frames] = output.dims();
     let mut weights = vec![1.0; channels];
     weights[..3].fill(k * k);
-    let sum: f64 = weights.iter().sum();
+    let weights = ChannelWeights::sum(&weights);
     let of = |x: &Tensor<3>, sample: usize, frame: usize| {
         x.clone().narrow(0, sample, 1).narrow(2, frame, 1)
     };
@@ -112,7 +113,7 @@ fn literal(golden: &Golden, name: &str, output: &Tensor<3>, target: &Tensor<3>, 
             let mask = Tensor::ones([1, 1], &output.device());
             let loss =
                 weighted_masked_loss(output, target, mask, &weights, 0.0, None, LossType::Mse);
-            found.push(f64::from(loss.into_scalar::<f32>()) * sum);
+            found.push(f64::from(loss.into_scalar::<f32>()));
         }
     }
     golden.compare_relative(&format!("out.{name}.eq5_per_frame"), &found, 1e-5);

@@ -267,6 +267,7 @@ fn compare(golden: &Golden, variant: &Variant) {
         second_stage_guidance: variant.guided[1],
         first_stage_steps: None,
         first_stage_guidance_scale: None,
+        path_guidance_scale: 1.0,
         max_shift: 1e6,
         attempts: 1,
         guidance: GuidanceConfig {

@@ -29,12 +29,13 @@ impl Motion {
     /// Reads an array, or a BVH file in the units and axes of `reading`.
     pub fn read(systems: Systems<'_>, path: &Path, reading: &BvhReading) -> Result<Self, Error> {
         if is_bvh(path) {
+            reading.must_suit_bvh(path)?;
             let captured = CapturedFile::read(path, reading)?;
             return Ok(Self::Capture(Box::new(captured)));
         }
         match io::Motion::read(systems, path, reading)? {
             io::Motion::Array(array) => Ok(Self::Array(array)),
-            io::Motion::Points(joints, error) => Err(unknown(path, &joints, &error)),
+            io::Motion::Points(joints, _, error) => Err(unknown(path, &joints, &error)),
             io::Motion::Bvh(_) => unreachable!("read above"),
         }
     }

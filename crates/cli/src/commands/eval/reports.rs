@@ -33,6 +33,11 @@ impl Settings {
         let (seed, source) = (arguments.seed, arguments.source.clone());
         add("seed", (seed != 0).then(|| seed.to_string()));
         add("source", source);
+        let songs = arguments.songs.as_ref();
+        add("songs", songs.map(|songs| songs.display().to_string()));
+        let number = |count: Option<usize>| count.map(|count| count.to_string());
+        add("num_samples", number(arguments.num_samples));
+        add("num_frames", number(arguments.num_frames));
         let trajectory = arguments.trajectory_run.as_ref();
         add(
             "trajectory_run",

@@ -10,7 +10,8 @@ use kinegrad_settings::counted;
 use kinegrad_train::{Error, Systems};
 
 use crate::io::{
-    CENTIMETRES, MotionArray, as_bvh, has_extension, is_bvh, read_figures, unit_and_axis,
+    BvhReading, CENTIMETRES, MotionArray, as_bvh, has_extension, is_bvh, read_figures,
+    unit_and_axis,
 };
 use crate::output::unusable;
 
@@ -83,7 +84,7 @@ pub fn read(systems: Systems<'_>, path: &Path, up: Option<UpAxis>) -> Result<Mot
 }
 
 fn read_clip(systems: Systems<'_>, path: &Path, file: String) -> Result<Motion, Error> {
-    let array = MotionArray::read(systems, path)?;
+    let array = MotionArray::read(systems, path, &BvhReading::default())?;
     let (joints, skeleton) = array.body()?;
     let bvh = as_bvh(&joints, &skeleton)?;
     let absolute = JointFeatures {

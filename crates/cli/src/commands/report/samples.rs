@@ -10,7 +10,7 @@ use kinegrad_train::run::SAMPLES;
 use kinegrad_train::{Error, Systems};
 
 use super::own_files;
-use crate::io::{MotionArray, file_stem, is_companion};
+use crate::io::{BvhReading, MotionArray, file_stem, is_companion};
 use crate::runs::Run;
 use crate::scene;
 
@@ -55,7 +55,7 @@ pub fn section(systems: Systems<'_>, run: &Run) -> Section {
 }
 
 fn read(systems: Systems<'_>, run: &Run, path: &Path) -> Result<Sample, Error> {
-    let array = MotionArray::read(systems, path)?;
+    let array = MotionArray::read(systems, path, &BvhReading::default())?;
     let representation = &*array.representation;
     let name = file_stem(path);
     let figure = scene::of(representation, &array.values, name.clone());

@@ -1,7 +1,7 @@
 //! Real-looking walks pass; motions that are broken on purpose fail by name.
 
 use super::*;
-use crate::humanml::walk::{Course, joints};
+use crate::humanml::walk::{Course, joints, joints_at};
 use crate::humanml::{Extraction, Root};
 use crate::representation::{JointFeatures, JointPositions, statistics_of};
 
@@ -138,6 +138,48 @@ fn a_statue_fails() {
     fails("still_share", statue(0.0));
     fails("glide", statue(1.1));
     fails("skating", statue(1.1));
+}
+
+#[test]
+fn a_statue_that_sways_or_is_carried_for_two_seconds_fails() {
+    let statue = walk()[..66].to_vec();
+    fails("statue", |t, frame| {
+        frame.as_flattened_mut().copy_from_slice(&statue);
+        shift(frame, [0.03 * (0.2 * t as f32).sin(), 0.0, 0.0]);
+    });
+    let good = walk();
+    fails("statue", |t, frame| {
+        if t < 41 {
+            let (from, t) = (66 * 41, t as f32 - 41.0);
+            (frame.as_flattened_mut()).copy_from_slice(&good[from..from + 66]);
+            shift(frame, [0.0, 0.0, 0.02 * t]);
+        }
+    });
+}
+
+#[test]
+fn a_walk_in_reverse_order_fails() {
+    let (representation, skeleton) = (representation(), Skeleton::humanml3d());
+    let course = Course {
+        speed: Box::new(|_| 1.1),
+        turning: Box::new(|_| 0.0),
+    };
+    // Time runs fastest at the end of each step, of which there are 1.87 in a second.
+    let rate = 2.0 * std::f64::consts::TAU * 0.935;
+    let times: Vec<f64> = (0..FRAMES)
+        .map(|t| t as f64 / 20.0)
+        .map(|time| time + 0.5 * (rate * time + 4.77).sin() / rate)
+        .collect();
+    let places = joints_at(&course, &skeleton, 5.0, &times);
+    let places = places.as_flattened().iter();
+    let rows: Vec<f32> = places.map(|value| *value as f32).collect();
+    let training = statistics_of(&representation, [&rows[..]]).expect("a clip");
+    let reversed: Vec<f32> = rows.rchunks_exact(66).flatten().copied().collect();
+    for training in [None, Some(&training)] {
+        let check = |rows| failed(representation.check(rows, Profile::Strict, training));
+        assert_eq!(check(&rows), [""; 0]);
+        assert_eq!(check(&reversed), ["time_direction"]);
+    }
 }
 
 #[test]

@@ -1,6 +1,7 @@
 use kinegrad_models::config::{MAX_LAYERS, MAX_WIDTH, must_be_even};
 use kinegrad_models::{NamedSizes, NetworkConfig};
 use kinegrad_settings::{InvalidSetting, Refused, in_range};
+use kinegrad_train::clips::path_condition::PathTokens;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -34,6 +35,8 @@ pub struct BlendedConfig {
     /// Conditions each frame on a root path (docs/sources.md, section 7, option C). Not in the
     /// published network.
     pub path: bool,
+    /// Place of the path's tokens, for networks with a path.
+    pub path_tokens: PathTokens,
 }
 
 impl Default for BlendedConfig {
@@ -63,6 +66,7 @@ impl BlendedConfig {
             horizon: 150,
             dropout: 0.1,
             path: false,
+            path_tokens: PathTokens::Added,
         }
     }
 
@@ -103,6 +107,11 @@ impl BlendedConfig {
             .hint("0.1 in the published training; 0 for none")
     }
 
+    /// True if the condition has the channels of a path.
+    pub(super) fn concatenates_path(&self) -> bool {
+        self.path && self.path_tokens == PathTokens::Concatenated
+    }
+
     /// Width inside a feed-forward: `ff_size` rounded to a multiple of the width, with ties to
     /// even.
     pub(super) fn inner_width(&self) -> usize {
@@ -114,6 +123,10 @@ impl BlendedConfig {
     pub fn activations(&self, frames: usize) -> u64 {
         let heads = self.num_heads * HEAD_CHANNELS;
         let layer = 8 * self.latent_dim + 8 * heads + 2 * self.inner_width();
-        frames as u64 * self.num_layers as u64 * layer as u64
+        let tokens = match self.path && self.path_tokens == PathTokens::Rows {
+            true => 2 * frames,
+            false => frames,
+        };
+        tokens as u64 * self.num_layers as u64 * layer as u64
     }
 }

@@ -12,6 +12,7 @@
 )]
 
 mod config;
+mod path_rows;
 mod sublayers;
 mod text_segments;
 
@@ -27,16 +28,14 @@ use kinegrad_models::time_embedding::interleaved_sinusoidal;
 use kinegrad_models::{Dropout, DropoutKey, Initializer, Stages, parameters};
 use kinegrad_random::Key;
 use kinegrad_settings::InvalidSetting;
+use kinegrad_train::clips::path_condition::kept_by;
 
 pub use config::{BlendedConfig, HEAD_CHANNELS, ROTATED_CHANNELS};
+pub use kinegrad_train::clips::path_condition::{PATH_CHANNELS, PathTokens};
 pub use sublayers::{PoseCentricAttention, Shared};
 pub use text_segments::{Segment, TextSegments};
 
 use sublayers::SubLayer;
-
-/// Channels of a path in a frame: position x and z, meters; velocity along x and z, meters per
-/// second; sine and cosine of the heading; curvature, 1 / meter.
-pub const PATH_CHANNELS: usize = 7;
 
 /// The sampling steps with relative positions: the published `bpe_denoising_step`, k. With T
 /// timesteps, t is relative if `t <= T - k`, so `k - 1` steps are absolute. For k = -1 all steps
@@ -96,6 +95,8 @@ pub struct BlendedTransformer {
     depth: f64,
     horizon: usize,
     width: usize,
+    #[module(skip)]
+    path_tokens: PathTokens,
 }
 
 impl BlendedConfig {
@@ -123,7 +124,13 @@ impl BlendedConfig {
         let embed_path = || {
             let last = path.at("2");
             let inner = Linear::new(PATH_CHANNELS, width, &path.at("0"));
-            (inner, square(&last).zeroed(&last))
+            // Added tokens alone would change an untrained network: the queries' map of concatenated
+            // ones is zero, and rows are keys of any value.
+            let outer = match self.path_tokens {
+                PathTokens::Added => square(&last).zeroed(&last),
+                PathTokens::Concatenated | PathTokens::Rows => square(&last),
+            };
+            (inner, outer)
         };
         let (embed_path_at_0, embed_path_at_2) = self.path.then(embed_path).unzip();
         Ok(BlendedTransformer {
@@ -150,6 +157,7 @@ impl BlendedConfig {
             depth: self.dropout,
             horizon: self.horizon,
             width,
+            path_tokens: self.path_tokens,
         })
     }
 }
@@ -224,11 +232,23 @@ impl BlendedTransformer {
         let absolute = self.absolute(segments, is_relative, frames, &device);
         stages.stage(format_args!("absolute"), || absolute.clone());
         let path = path.and_then(|path| self.embedded_path(path));
+        let places = match self.path_tokens {
+            PathTokens::Rows => path.is_some().then(|| absolute.clone()),
+            PathTokens::Added | PathTokens::Concatenated => None,
+        };
         let h = project_in.forward_frames_onto(absolute, h);
-        let h = match (path, path_mask) {
-            (Some(path), Some(mask)) => h + path * mask.clone(),
-            (Some(path), None) => h + path,
-            (None, _) => h,
+        let (h, shared) = match (path, self.path_tokens) {
+            (None, _) => (h, shared),
+            (Some(path), PathTokens::Added) => (h + masked(path, path_mask), shared),
+            (Some(path), PathTokens::Concatenated) => {
+                (h, shared.with_concatenated(masked(path, path_mask)))
+            }
+            (Some(path), PathTokens::Rows) => {
+                let has_path = kept_by(path_mask, batch);
+                let path = path + places.expect("rows have places");
+                let tokens = Tensor::cat(vec![h, path], 2);
+                (tokens, shared.with_rows(&has_path, is_relative))
+            }
         };
         stages.stage(format_args!("tokens"), || h.clone());
         let mut h = self.dropout.forward(h, dropout);
@@ -247,6 +267,10 @@ impl BlendedTransformer {
         let h = self
             .seqTransEncoder_at_attn_layers_at_final_norm
             .forward_tokens(h);
+        let h = match self.path_tokens {
+            PathTokens::Rows => h.narrow(2, 0, frames),
+            PathTokens::Added | PathTokens::Concatenated => h,
+        };
         stages.stage(format_args!("final_norm"), || h.clone());
         let h = self.seqTransEncoder_at_project_out.forward_frames(h);
         stages.stage(format_args!("project_out"), || h.clone());
@@ -276,10 +300,16 @@ impl BlendedTransformer {
         let mut adapting = this.no_grad();
         (adapting.embed_path_at_0, adapting.embed_path_at_2) = (first, second);
         let frozen = layers.len().saturating_sub(2 * last_layers);
-        let last = layers.into_iter().enumerate().skip(frozen);
-        for (index, layer) in last {
-            adapting.seqTransEncoder_at_attn_layers_at_layers[index] = layer;
-        }
+        let with_layers = &mut adapting.seqTransEncoder_at_attn_layers_at_layers;
+        let both = std::mem::take(with_layers)
+            .into_iter()
+            .zip(layers)
+            .enumerate();
+        let each = both.map(|(index, (still, layer))| match index < frozen {
+            true => still.with_path_query_of(&layer),
+            false => layer,
+        });
+        *with_layers = each.collect();
         adapting
     }
 
@@ -289,7 +319,8 @@ impl BlendedTransformer {
         let layer = name.strip_prefix("seqTransEncoder.attn_layers.layers.");
         let layer = layer.and_then(|rest| rest.split('.').next()?.parse().ok());
         let is_last = |layer: usize| layer >= layers.saturating_sub(2 * last_layers);
-        name.starts_with("embed_path.") || layer.is_some_and(is_last)
+        let is_path = name.starts_with("embed_path.") || name.ends_with(".path_query.weight");
+        is_path || layer.is_some_and(is_last)
     }
 
     /// The embeddings of timesteps: `[batch, width]`.
@@ -356,6 +387,14 @@ impl BlendedTransformer {
     }
 }
 
+/// `path` with zeros for the motions that `mask` leaves out.
+fn masked(path: Tensor<3>, mask: Option<&Tensor<3>>) -> Tensor<3> {
+    match mask {
+        Some(mask) => path * mask.clone(),
+        None => path,
+    }
+}
+
 /// The table of absolute positions, `[width, places]`: `sin(p w_j)` for all j, then `cos(p w_j)`,
 /// with `w_j = 10000^(-2 j / width)`.
 pub fn absolute_positions(places: &[f64], width: usize) -> Vec<f32> {
@@ -379,27 +418,52 @@ pub struct Composed<'a> {
     pub switch: Switch,
     /// Root paths, `[batch, PATH_CHANNELS, time]`.
     pub path: Option<Tensor<3>>,
+    /// Guidance scale of the path; 1 disables its guidance.
+    pub path_guidance_scale: f64,
 }
 
 impl Denoiser for Composed<'_> {
     /// `[texts, text channels, 1]`, zeros for no text.
     type Cond = Tensor<3>;
 
+    /// With a path and its guidance scale s: `without + s (along - without)`, the outputs without the
+    /// path and along it.
     fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &Tensor<3>) -> Tensor<3> {
+        let scale = self.path_guidance_scale;
+        let Some(path) = self.path.as_ref().filter(|_| scale != 0.0) else {
+            return self.predict_along(None, x_t, time, cond);
+        };
+        let along = self.predict_along(Some(path), x_t.clone(), time, cond);
+        if scale == 1.0 {
+            return along;
+        }
+        let without = self.predict_along(None, x_t, time, cond);
+        without.clone() + (along - without) * scale
+    }
+
+    fn null_cond(&self, cond: &Tensor<3>) -> Tensor<3> {
+        cond.zeros_like()
+    }
+}
+
+impl Composed<'_> {
+    fn predict_along(
+        &self,
+        path: Option<&Tensor<3>>,
+        x_t: Tensor<3>,
+        time: &[Time],
+        cond: &Tensor<3>,
+    ) -> Tensor<3> {
         let timesteps = time.iter().map(|time| time.timestep());
         let is_relative: Vec<bool> = timesteps.map(|t| self.switch.is_relative(t)).collect();
         let pass = Pass {
             segments: &self.segments,
             is_relative: &is_relative,
             dropout: None,
-            path: self.path.as_ref(),
+            path,
             path_mask: None,
         };
         self.network
             .forward(x_t, time, cond.clone().squeeze_dim(2), pass)
-    }
-
-    fn null_cond(&self, cond: &Tensor<3>) -> Tensor<3> {
-        cond.zeros_like()
     }
 }

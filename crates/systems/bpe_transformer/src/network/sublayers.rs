@@ -7,6 +7,7 @@ use kinegrad_models::layers::{LayerNorm, Linear, Unbiased};
 use kinegrad_models::rotary::Rotation;
 
 use super::config::{BlendedConfig, HEAD_CHANNELS, ROTATED_CHANNELS};
+use super::path_rows::PathRows;
 
 /// The inputs that all sub-layers of a forward pass share.
 #[derive(Clone, Debug)]
@@ -16,6 +17,19 @@ pub struct Shared {
     ranges: KeyRanges,
     /// Rotation of queries and keys; `None` if no motion is in relative mode.
     rotation: Option<Rotation>,
+    path: SharedPath,
+}
+
+/// The path of a forward pass.
+#[derive(Clone, Debug, Default)]
+pub(super) enum SharedPath {
+    /// None, or in the frames' tokens.
+    #[default]
+    None,
+    /// The channels that are concatenated to the conditions, `[batch, width, time]`.
+    Concatenated(Tensor<3>),
+    /// Rows behind the frames.
+    Rows(PathRows),
 }
 
 impl Shared {
@@ -39,6 +53,32 @@ impl Shared {
             rows,
             ranges,
             rotation,
+            path: SharedPath::None,
+        }
+    }
+
+    /// The inputs with the channels of a path beside the conditions.
+    pub(super) fn with_concatenated(self, path: Tensor<3>) -> Self {
+        Self {
+            path: SharedPath::Concatenated(path),
+            ..self
+        }
+    }
+
+    /// The inputs for tokens with path rows behind the frames; `has_path` is true for motions with
+    /// a path.
+    pub(super) fn with_rows(self, has_path: &[bool], is_relative: &[bool]) -> Self {
+        let (batch, device) = (has_path.len(), self.cond.device());
+        let time = self.rows.dims()[0] / batch;
+        let rows = self.rows.clone().reshape([batch, time]);
+        let positions: Vec<usize> = (0..time).chain(0..time).collect();
+        let rotation = |_| Rotation::at(ROTATED_CHANNELS, &positions, is_relative, &device);
+        let path = PathRows::new(&self.ranges, has_path, time, &device);
+        Self {
+            rows: Tensor::cat(vec![rows.clone(), rows], 1).reshape([2 * batch * time]),
+            rotation: self.rotation.as_ref().map(rotation),
+            path: SharedPath::Rows(path),
+            ..self
         }
     }
 
@@ -62,6 +102,8 @@ pub struct PoseCentricAttention {
     to_k: Unbiased,
     to_v: Unbiased,
     to_out: Unbiased,
+    /// The columns of `custom_query_fn` for a path that is concatenated to the condition.
+    path_query: Option<Unbiased>,
     heads: usize,
 }
 
@@ -76,6 +118,10 @@ impl PoseCentricAttention {
             to_k: into_heads("to_k"),
             to_v: into_heads("to_v"),
             to_out: Unbiased::new(inner, width, &init.at("to_out")),
+            path_query: config.concatenates_path().then(|| {
+                let init = init.at("path_query");
+                Unbiased::new(width, width, &init).zeroed(&init)
+            }),
             heads: config.num_heads,
         }
     }
@@ -91,14 +137,27 @@ impl PoseCentricAttention {
         let (cond, rows) = (shared.cond.clone(), shared.rows.clone());
         let merge = &self.custom_query_fn;
         let merged = merge.forward_frames_cond(u.clone(), cond, rows);
-        let mut queries = self.to_q.forward_frames(merged);
-        let mut keys = self.to_k.forward_frames(u.clone());
+        let merged = match (&shared.path, &self.path_query) {
+            (SharedPath::Concatenated(path), Some(query)) => {
+                merged + query.forward_frames(path.clone())
+            }
+            _ => merged,
+        };
+        let recomputed = |map: &Unbiased, x| map.operation().recomputed().forward(x);
+        let mut queries = recomputed(&self.to_q, merged);
+        let mut keys = recomputed(&self.to_k, u.clone());
         if let Some(rotation) = &shared.rotation {
             queries = rotation.turn(queries, self.heads);
             keys = rotation.turn(keys, self.heads);
         }
-        let keys_values = concat_channels(keys, self.to_v.forward_frames(u));
-        ranged_attention(queries, keys_values, self.heads, &shared.ranges)
+        let keys_values = concat_channels(keys, recomputed(&self.to_v, u));
+        match &shared.path {
+            SharedPath::Rows(rows) => {
+                let keys_values = rows.ordered(keys_values);
+                ranged_attention(queries, keys_values, self.heads, &rows.ranges)
+            }
+            _ => ranged_attention(queries, keys_values, self.heads, &shared.ranges),
+        }
     }
 }
 
@@ -151,6 +210,17 @@ impl SubLayer {
         }
     }
 
+    /// This sub-layer with the map of a concatenated path of `other`.
+    pub fn with_path_query_of(self, other: &Self) -> Self {
+        match (self, other) {
+            (Self::Attention(mut layer), Self::Attention(other)) => {
+                layer.at_1.path_query = other.at_1.path_query.clone();
+                Self::Attention(layer)
+            }
+            (layer, _) => layer,
+        }
+    }
+
     /// The sum of `x` and its [`branch`](Self::branch).
     ///
     /// # Shapes
@@ -181,7 +251,7 @@ impl SubLayer {
             }
             Self::FeedForward(layer) => {
                 let u = layer.at_0_at_0.forward_tokens(x);
-                gelu(layer.at_1.ff_at_0_at_0.forward_frames(u))
+                gelu(layer.at_1.ff_at_0_at_0.operation().recomputed().forward(u))
             }
         }
     }

@@ -22,6 +22,7 @@ fn config(path: bool) -> BlendedConfig {
         horizon: 4,
         dropout: 0.1,
         path,
+        path_tokens: PathTokens::Added,
     }
 }
 
@@ -218,12 +219,152 @@ fn an_untrained_path_changes_no_bit_and_a_trained_one_the_frames_in_reach() {
     );
 }
 
+/// A network with a path in its `tokens`; its maps of the path are random.
+fn with_tokens(tokens: PathTokens) -> BlendedTransformer {
+    let init = Initializer::new(3, &Device::flex());
+    let config = BlendedConfig {
+        path_tokens: tokens,
+        ..config(true)
+    };
+    let network = config.init(CHANNELS, 7, &init).expect("a network");
+    let mut values = parameters::export(&network);
+    for (index, parameter) in (0..).zip(&mut values) {
+        if parameter.info.name.ends_with("path_query.weight") {
+            let key = Key::new(20 + index, Purpose::Noise);
+            parameter.values = key.normals(parameter.values.len());
+        }
+    }
+    parameters::load(network, values).expect("its own weights")
+}
+
+#[test]
+fn tokens_beside_the_condition_or_in_rows_reach_the_frames_near_them() {
+    let (x, segments, texts) = (random([2, CHANNELS, FRAMES], 1), two(), texts(2));
+    let path = random([2, PATH_CHANNELS, FRAMES], 5);
+    let keep = |values: [f32; 2]| {
+        Tensor::<3>::from_data(TensorData::new(values.to_vec(), [2, 1, 1]), &x.device())
+    };
+    for tokens in [PathTokens::Concatenated, PathTokens::Rows] {
+        let trained = with_tokens(tokens);
+        for relative in [[true, true], [false, true]] {
+            let run = |network: &BlendedTransformer, path, path_mask| {
+                let pass = Pass {
+                    segments: &segments,
+                    is_relative: &relative,
+                    dropout: None,
+                    path,
+                    path_mask,
+                };
+                network.forward(x.clone(), &[Time(30.0), Time(700.0)], texts.clone(), pass)
+            };
+            let base = run(&network(), None, None);
+            assert_eq!(
+                run(&trained, None, None).into_data(),
+                base.into_data(),
+                "{tokens:?}"
+            );
+            let base = run(&trained, None, None);
+            let whole = run(&trained, Some(&path), None);
+            assert_eq!(whole.dims(), [2, CHANNELS, FRAMES]);
+            // Every frame of the text's segments reads its own token.
+            let moved = apart(&whole, &base);
+            assert!(
+                moved[1].iter().all(|difference| *difference > 1e-6),
+                "{tokens:?}"
+            );
+            // A motion whose path is masked is the motion without a path.
+            let mask = keep([1.0, 0.0]);
+            let masked = run(&trained, Some(&path), Some(&mask));
+            let first = apart(&masked, &whole)[0].clone();
+            assert!(
+                first.iter().all(|difference| *difference == 0.0),
+                "{tokens:?}"
+            );
+            let second = apart(&masked, &base)[1].clone();
+            assert!(
+                second.iter().all(|difference| *difference < 1e-6),
+                "{tokens:?}"
+            );
+            // The last token reaches its own frame, and others within the horizons of the layers.
+            let last = path.clone().narrow(2, FRAMES - 1, 1);
+            let other = Tensor::cat(vec![path.clone().narrow(2, 0, FRAMES - 1), last + 1.0], 2);
+            let changed = apart(&whole, &run(&trained, Some(&other), None));
+            assert!(changed[1][FRAMES - 1] > 1e-6, "{tokens:?}");
+            let far = FRAMES - 1 - 2 * 4;
+            assert!(
+                changed[1][..far]
+                    .iter()
+                    .all(|difference| *difference == 0.0),
+                "{tokens:?}"
+            );
+            // Padding of the first motion, frames 11 to 13, has no reader.
+            assert!(
+                changed[0][..11].iter().all(|difference| *difference == 0.0),
+                "{tokens:?}"
+            );
+        }
+    }
+    // An untrained concatenated path changes nothing.
+    let init = Initializer::new(3, &Device::flex());
+    let config = BlendedConfig {
+        path_tokens: PathTokens::Concatenated,
+        ..config(true)
+    };
+    let untrained = config.init(CHANNELS, 7, &init).expect("a network");
+    let pass = |path| Pass {
+        segments: &segments,
+        is_relative: &[true, true],
+        dropout: None,
+        path,
+        path_mask: None,
+    };
+    let time = [Time(30.0), Time(700.0)];
+    let [with, without] = [Some(&path), None].map(|path| {
+        untrained
+            .forward(x.clone(), &time, texts.clone(), pass(path))
+            .into_data()
+    });
+    assert_eq!(with, without);
+}
+
+#[test]
+fn guidance_over_the_path_extrapolates_from_the_motion_without_it() {
+    let network = path_conditioned(true);
+    let (x, texts) = (random([2, CHANNELS, FRAMES], 1), texts(2));
+    let path = random([2, PATH_CHANNELS, FRAMES], 5);
+    let at = |path: Option<Tensor<3>>, path_guidance_scale| {
+        let composed = Composed {
+            network: &network,
+            segments: two(),
+            switch: Switch {
+                bpe_denoising_step: 60,
+                num_train_timesteps: 1000,
+            },
+            path,
+            path_guidance_scale,
+        };
+        let cond = texts.clone().unsqueeze_dim(2);
+        composed.predict(x.clone(), &[Time(30.0), Time(700.0)], &cond)
+    };
+    let along = at(Some(path.clone()), 1.0);
+    let without = at(None, 1.0);
+    let expected = without.clone() + (along.clone() - without.clone()) * 2.5;
+    let found = at(Some(path.clone()), 2.5);
+    assert_eq!(found.clone().into_data(), expected.into_data());
+    assert_ne!(found.into_data(), along.into_data());
+    assert_eq!(at(Some(path), 0.0).into_data(), without.into_data());
+}
+
 #[test]
 fn adapting_trains_what_reads_the_path_and_the_last_layers() {
-    let trained = |last_layers: usize| -> Vec<String> {
+    let trained_of = |path_tokens, last_layers: usize| -> Vec<String> {
         // On a device that tracks gradients, with uninitialized parameters.
         let init = Initializer::new(3, &Device::flex().autodiff());
-        let network = config(true).init(CHANNELS, 7, &init).expect("a network");
+        let config = BlendedConfig {
+            path_tokens,
+            ..config(true)
+        };
+        let network = config.init(CHANNELS, 7, &init).expect("a network");
         let network = network.adapting(last_layers);
         let infos = parameters::infos(&network).into_iter();
         let trained = infos.zip(parameters::trainable(&network));
@@ -238,6 +379,9 @@ fn adapting_trains_what_reads_the_path_and_the_last_layers() {
         let trained = trained.filter(|(_, is)| *is).map(|(info, _)| info.name);
         trained.collect()
     };
+    // The four of the embedding, and the queries' map of each layer.
+    assert_eq!(trained_of(PathTokens::Concatenated, 0).len(), 6);
+    let trained = |last_layers| trained_of(PathTokens::Added, last_layers);
     assert!(
         trained(0)
             .iter()

@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use kinegrad_audio::beats::track;
-use kinegrad_data::{BeatAgreement, BeatPhrase, PhraseItem};
+use kinegrad_data::{AudioFeatures, BeatAgreement, BeatPhrase, PhraseItem, bars};
 use kinegrad_motion::derivatives::mean_jerk_norm;
 use kinegrad_motion::metrics::{
     Estimate, FeatureMoments, beat_alignment, diversity, frechet_distance, kinematic_beats, mean,
-    trajectory_features,
+    phase_error, trajectory_features,
 };
 use kinegrad_motion::{
     Phrase, Profile, Report, SanityThresholds, Statistics, Value, check, check_thresholds,
@@ -113,17 +113,57 @@ fn mean_value(values: impl Iterator<Item = Value>, count: f64) -> Value {
     }
 }
 
+/// The beats of one condition, with which the phases of its samples are compared.
+pub(super) enum Beats {
+    /// Those of the phase channel of a phrase.
+    Phrase(BeatPhrase),
+    /// Those tracked in a song.
+    Tracked {
+        /// The song.
+        song: String,
+        /// Beats in a bar of the samples.
+        beats_per_bar: f64,
+        /// Number of beats up to each frame.
+        positions: Vec<f64>,
+    },
+}
+
+impl Beats {
+    fn song(&self) -> &str {
+        match self {
+            Self::Phrase(phrase) => &phrase.song,
+            Self::Tracked { song, .. } => song,
+        }
+    }
+
+    /// Mean distance of the beat phases of `motion`, in beats.
+    fn error(&self, motion: &Phrase) -> f64 {
+        match self {
+            Self::Phrase(phrase) => phrase.phase_error(motion),
+            Self::Tracked {
+                beats_per_bar,
+                positions,
+                ..
+            } => {
+                let beats: Vec<f64> = bars(motion).iter().map(|bar| bar * beats_per_bar).collect();
+                phase_error(&beats, positions, 1.0)
+            }
+        }
+    }
+}
+
 /// The real motion and music that samples are compared with.
 pub(super) struct Reference<'a> {
     statistics: Statistics,
     thresholds: SanityThresholds,
-    phrases: &'a [Arc<PhraseItem>],
+    /// The held-out phrases; `None` for songs without motion.
+    phrases: Option<&'a [Arc<PhraseItem>]>,
     held_out: Option<FeatureMoments>,
     training: Option<FeatureMoments>,
     /// Beats of each held-out phrase's music, seconds.
     music: Vec<Vec<f64>>,
-    /// The phases of the held-out phrases; `None` for a phrase without beats.
-    phases: Vec<Option<BeatPhrase>>,
+    /// The beats of each condition, if it has beats.
+    beats: Vec<Option<Beats>>,
 }
 
 impl<'a> Reference<'a> {
@@ -139,7 +179,6 @@ impl<'a> Reference<'a> {
             let motions = phrases.iter().map(|phrase| &phrase.motion);
             feature_moments(motions, statistics)
         };
-        let beats = |phrase: &Arc<PhraseItem>| track(phrase.audio.onset_strength()).times();
         let mut with_movement = statistics.clone();
         if statistics.movement.is_empty() {
             let phrases = if training.is_empty() {
@@ -154,11 +193,28 @@ impl<'a> Reference<'a> {
         Self {
             statistics: with_movement,
             thresholds: SanityThresholds::default(),
-            phrases: held_out,
+            phrases: Some(held_out),
             held_out: moments(held_out),
             training: moments(training),
-            music: held_out.iter().map(beats).collect(),
-            phases: held_out.iter().map(|_| None).collect(),
+            music: music(held_out.iter().map(|phrase| &phrase.audio)),
+            beats: held_out.iter().map(|_| None).collect(),
+        }
+    }
+
+    /// The reference of music without motion: no distance to real motion can be computed.
+    pub fn of_music<'m>(
+        music: impl Iterator<Item = &'m AudioFeatures>,
+        beats: Vec<Option<Beats>>,
+        statistics: &Statistics,
+    ) -> Self {
+        Self {
+            statistics: statistics.clone(),
+            thresholds: SanityThresholds::default(),
+            phrases: None,
+            held_out: None,
+            training: None,
+            music: self::music(music),
+            beats,
         }
     }
 
@@ -168,14 +224,15 @@ impl<'a> Reference<'a> {
         self
     }
 
-    /// With the phases of the held-out phrases.
+    /// With the phases of the held-out phrases; `None` for a phrase without beats.
     pub fn with_phases(mut self, phases: Vec<Option<BeatPhrase>>) -> Self {
-        self.phases = phases;
+        let beats = phases.into_iter();
+        self.beats = beats.map(|phrase| phrase.map(Beats::Phrase)).collect();
         self
     }
 
-    /// The metrics of at least one motion per held-out phrase. `motions` has one list per phrase,
-    /// in order, all of equal length; at least one phrase is needed.
+    /// The metrics of at least one motion per condition. `motions` has one list per condition,
+    /// in order, all of equal length; at least one condition is needed.
     pub fn measure(&self, motions: &[Vec<Phrase>]) -> Measures {
         let all = || motions.iter().flatten();
         let rates = |report: &dyn Fn(&Phrase) -> Report| {
@@ -198,11 +255,11 @@ impl<'a> Reference<'a> {
                 let aligned = move |motion| beat_alignment(&kinematic_beats(motion), music);
                 samples.iter().filter_map(aligned).map(Some)
             });
-        let phases = motions.iter().zip(&self.phases);
-        let phase_errors = phases.filter_map(|(samples, phrase)| {
-            let phrase = phrase.as_ref()?;
-            let error = |motion| Some(phrase.phase_error(motion));
-            Some((phrase.song.clone(), mean(samples.iter().map(error))?))
+        let beats = motions.iter().zip(&self.beats);
+        let phase_errors = beats.filter_map(|(samples, beats)| {
+            let beats = beats.as_ref()?;
+            let error = |motion| Some(beats.error(motion));
+            Some((beats.song().to_owned(), mean(samples.iter().map(error))?))
         });
         let agreement = BeatAgreement::of(phase_errors);
         let moments = feature_moments(all(), &self.statistics);
@@ -223,6 +280,12 @@ impl<'a> Reference<'a> {
             strict: rates(&strict),
         }
     }
+}
+
+/// The beats tracked in each music, seconds.
+fn music<'m>(music: impl Iterator<Item = &'m AudioFeatures>) -> Vec<Vec<f64>> {
+    let beats = music.map(|audio| track(audio.onset_strength()).times());
+    beats.collect()
 }
 
 fn feature_moments<'a>(

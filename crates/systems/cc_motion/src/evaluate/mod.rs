@@ -5,6 +5,7 @@ pub(crate) mod beat_verdict;
 mod measures;
 mod movement;
 mod report;
+mod songs;
 mod terms;
 
 use std::collections::BTreeSet;
@@ -21,7 +22,7 @@ use kinegrad_train::sampling::item_seed;
 use kinegrad_train::{Error, ProcessGroup, TrainedModel};
 
 use super::generate::{self, Generator, keys};
-use super::lengths::{untrained, windows};
+use super::lengths::{leading, untrained, windows};
 use super::{CcMotionConfig, CondSource};
 use measures::Reference;
 
@@ -46,6 +47,9 @@ pub(super) struct SampleSettings {
     /// The audio condition.
     pub cond: CondSource,
 }
+
+/// A condition of samples: its name, from which the seed of the noise is derived, and its music.
+pub(super) type Music = (String, AudioFeatures);
 
 /// The measures of an evaluation.
 pub(super) struct EvaluationReport {
@@ -92,14 +96,25 @@ pub(super) fn prepare<'a>(
     let config = trained.config();
     let settings = &config.own::<CcMotionConfig>().evaluation;
     let purpose = "samples are generated for held-out phrases";
+    if let Some(folder) = &request.songs {
+        return songs::prepare(trained, request, folder);
+    }
     let (data, dataset) = phrases_with_held_out(trained, request, purpose)?;
     let mut held_out = dataset.validation.load()?;
-    held_out.truncate(settings.phrases.unwrap_or(usize::MAX));
+    if let Some(frames) = request.num_frames {
+        held_out = held_out
+            .iter()
+            .map(|phrase| leading(phrase, frames))
+            .collect();
+    }
+    let most = settings.phrases.unwrap_or(usize::MAX).min(held_out.len());
+    let [most, seeds] = counts(request.num_samples, most, settings.seeds);
+    held_out.truncate(most);
     let frames = held_out.iter().map(|phrase| phrase.frames() as u64);
     let bytes = frames.sum::<u64>() * BYTES_PER_FRAME;
     let evaluation = |report, measure| Evaluation {
         report,
-        memory: bytes.saturating_mul(settings.seeds as u64),
+        memory: bytes.saturating_mul(seeds as u64),
         memory_hint: "all samples are compared with each other: choose fewer `evaluation.seeds` or \
                       `evaluation.phrases`",
         remarks: Vec::new(),
@@ -112,7 +127,7 @@ pub(super) fn prepare<'a>(
     let processes = request.group.ranks().local().size;
     let lengths: BTreeSet<usize> = held_out.iter().map(|phrase| phrase.frames()).collect();
     for frames in lengths {
-        generate::must_fit(trained, settings.seeds, frames, processes, BATCH_HINT)?;
+        generate::must_fit(trained, seeds, frames, processes, BATCH_HINT)?;
     }
     let training = dataset.train.load()?;
     let generated = held_out.iter().map(|phrase| {
@@ -126,7 +141,7 @@ pub(super) fn prepare<'a>(
     };
     let beats_per_bar = settings.beats_per_bar.map(|beats| beats as f64);
     let settings = SampleSettings {
-        seeds: settings.seeds,
+        seeds,
         seed: request.seed,
         cond: settings.cond,
     };
@@ -165,27 +180,14 @@ pub(super) fn evaluate(
     group: &ProcessGroup,
     on_step: &mut OnStep<'_>,
 ) -> Result<EvaluationReport, Error> {
-    let SampleSettings { seeds, seed, cond } = settings;
     let (phases, tracked) = (held_out.phases(), held_out.tracked());
     let held_out = held_out.phrases;
-    let sampling = &generator.config().sampling;
-    let samples = for_each_item(group, held_out.len(), on_step, |index, on_step| {
+    let music = |index: usize| {
         let phrase = &held_out[index];
-        let (mut raw, mut processed) = (Vec::new(), Vec::new());
-        let audio = condition(phrase, cond, seed);
-        generator.sample_each(
-            repeat_n(audio, seeds).zip(keys(item_seed(seed, &phrase.id), seeds)),
-            sampling,
-            &mut |done, all| on_step("", done, all),
-            &mut |sample| {
-                raw.push(sample.raw);
-                processed.push(sample.motion);
-                Ok(())
-            },
-        )?;
-        Ok((raw, processed))
-    })?;
-    let (raw, processed): (Vec<Vec<Phrase>>, Vec<Vec<Phrase>>) = samples.into_iter().unzip();
+        let audio = condition(phrase, settings.cond, settings.seed);
+        (phrase.id.clone(), audio)
+    };
+    let [raw, processed] = samples(generator, held_out.len(), music, settings, group, on_step)?;
     let real = held_out.iter().map(|phrase| vec![phrase.motion.clone()]);
     let reference = Reference::new(held_out, training, generator.statistics());
     let thresholds = generator
@@ -202,6 +204,47 @@ pub(super) fn evaluate(
         real: reference.measure(&real.collect::<Vec<_>>()),
         tracked,
     })
+}
+
+/// The raw and the processed samples of each of `count` conditions. Each process generates the samples
+/// of some conditions.
+pub(super) fn samples(
+    generator: &Generator,
+    count: usize,
+    music: impl Fn(usize) -> Music,
+    settings: SampleSettings,
+    group: &ProcessGroup,
+    on_step: &mut OnStep<'_>,
+) -> Result<[Vec<Vec<Phrase>>; 2], Error> {
+    let SampleSettings { seeds, seed, .. } = settings;
+    let sampling = &generator.config().sampling;
+    let samples = for_each_item(group, count, on_step, |index, on_step| {
+        let (name, audio) = music(index);
+        let (mut raw, mut processed) = (Vec::new(), Vec::new());
+        generator.sample_each(
+            repeat_n(audio, seeds).zip(keys(item_seed(seed, &name), seeds)),
+            sampling,
+            &mut |done, all| on_step("", done, all),
+            &mut |sample| {
+                raw.push(sample.raw);
+                processed.push(sample.motion);
+                Ok(())
+            },
+        )?;
+        Ok((raw, processed))
+    })?;
+    let (raw, processed) = samples.into_iter().unzip();
+    Ok([raw, processed])
+}
+
+/// The numbers of conditions and of samples of each, for at most `num_samples` samples in total. There
+/// are at most `most` conditions, and at least `seeds` samples of each if `num_samples` allows it.
+fn counts(num_samples: Option<usize>, most: usize, seeds: usize) -> [usize; 2] {
+    let Some(all) = num_samples else {
+        return [most, seeds];
+    };
+    let conditions = most.min(all / seeds).max(1);
+    [conditions, (all / conditions).max(1)]
 }
 
 /// The audio condition of all samples of `phrase`.
@@ -221,6 +264,16 @@ mod tests {
     use kinegrad_data::synthetic;
 
     use super::*;
+
+    #[test]
+    fn a_number_of_samples_is_divided_into_conditions_and_seeds() {
+        assert_eq!(counts(None, 27, 2), [27, 2]);
+        assert_eq!(counts(Some(20), 27, 2), [10, 2]);
+        assert_eq!(counts(Some(100), 27, 2), [27, 3]);
+        assert_eq!(counts(Some(20), 4, 2), [4, 5]);
+        assert_eq!(counts(Some(7), 3, 2), [3, 2]);
+        assert_eq!(counts(Some(1), 3, 2), [1, 1]);
+    }
 
     #[test]
     fn noise_conditions_differ_by_phrase_and_seed_and_have_the_phrase_s_length() {

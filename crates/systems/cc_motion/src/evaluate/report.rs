@@ -24,18 +24,7 @@ impl EvaluationReport {
     /// The results, without remarks.
     pub(super) fn results(&self, sampling: &SamplingConfig) -> Results {
         let SampleSettings { seeds, cond, .. } = self.settings;
-        let groups = |processed: &Measures, raw: &Measures| {
-            let group = |key, title, measures: &Measures, main| Group {
-                key,
-                title,
-                numbers: Number::mark(measures.rows(), main),
-            };
-            vec![
-                group("processed", "PROCESSED", processed, &MAIN),
-                group("raw", "RAW", raw, &MAIN[..1]),
-            ]
-        };
-        let mut verdict = vec![self.processed.strict.verdict(&self.real.strict)];
+        let mut verdict = vec![self.processed.strict.verdict(Some(&self.real.strict))];
         if cond == CondSource::Phrases {
             let error = self.processed.beat_phase_error.as_ref();
             verdict.extend(
@@ -67,9 +56,22 @@ impl EvaluationReport {
     }
 }
 
+/// The groups of processed and raw samples.
+pub(super) fn groups(processed: &Measures, raw: &Measures) -> Vec<Group> {
+    let group = |key, title, measures: &Measures, main| Group {
+        key,
+        title,
+        numbers: Number::mark(measures.rows(), main),
+    };
+    vec![
+        group("processed", "PROCESSED", processed, &MAIN),
+        group("raw", "RAW", raw, &MAIN[..1]),
+    ]
+}
+
 impl ProfileRates {
     /// The share of samples within the limits, and the check that fails most often.
-    fn verdict(&self, real: &Self) -> String {
+    pub(super) fn verdict(&self, real: Option<&Self>) -> String {
         let lowest = self.checks.iter();
         let lowest = lowest.min_by(|a, b| a.pass_rate.total_cmp(&b.pass_rate));
         let lowest = lowest.filter(|check| check.pass_rate < 1.0);
@@ -78,9 +80,10 @@ impl ProfileRates {
             format!("; {failing} fail {}", check.name)
         });
         format!(
-            "{} of the processed samples are within the limits of `strict` (real: {}){}",
+            "{} of the processed samples are within the limits of `strict`{}{}",
             percent(self.pass_rate),
-            percent(real.pass_rate),
+            real.map(|real| format!(" (real: {})", percent(real.pass_rate)))
+                .unwrap_or_default(),
             worst.unwrap_or_default()
         )
     }

@@ -21,25 +21,31 @@ pub struct LossTerm {
 
 /// CC-MotionGen's temporal terms, with its weights and normalizers, and the mean squared errors of
 /// position (m^2) and quaternion (up to sign) from the held-out phrase. All are means over
-/// `motions`, one list per phrase of `held_out`.
+/// `motions`, one list per phrase of `held_out`. Without held-out phrases, there are no errors.
 ///
 /// A sample from noise shares only the audio condition with its phrase. The sample's squared error
 /// is about twice the variance of real motion; the mean motion's error is half as large.
-pub(super) fn loss_terms(motions: &[Vec<Phrase>], held_out: &[Arc<PhraseItem>]) -> Vec<LossTerm> {
+pub(super) fn loss_terms(
+    motions: &[Vec<Phrase>],
+    held_out: Option<&[Arc<PhraseItem>]>,
+) -> Vec<LossTerm> {
     let config = TemporalLossConfig::ccmotion();
     let count = motions.iter().map(Vec::len).sum::<usize>() as f64;
     let mut means: Vec<LossTerm> = Vec::new();
-    for (samples, phrase) in motions.iter().zip(held_out) {
+    for (index, samples) in motions.iter().enumerate() {
+        let target = held_out.map(|phrases| tensor(&phrases[index].motion));
         for motion in samples {
             let frames = motion.frames();
-            let (decoded, target) = (tensor(motion), tensor(&phrase.motion));
+            let decoded = tensor(motion);
             let mask = Tensor::ones([1, frames], &decoded.device());
-            let weights = Tensor::ones([1, 1, 1], &decoded.device());
-            let error =
-                ReconstructionLoss::new(&decoded, &target, &mask, weights, SignMatching::Nearer);
             let mut terms = temporal_losses(&decoded, &mask, &config);
-            terms.push(("position", error.position));
-            terms.push(("quaternion", error.quaternion));
+            if let Some(target) = &target {
+                let weights = Tensor::ones([1, 1, 1], &decoded.device());
+                let sign = SignMatching::Nearer;
+                let error = ReconstructionLoss::new(&decoded, target, &mask, weights, sign);
+                terms.push(("position", error.position));
+                terms.push(("quaternion", error.quaternion));
+            }
             for (name, term) in terms {
                 let value = f64::from(term.into_scalar::<f32>()) / count;
                 match means.iter_mut().find(|mean| mean.name == name) {

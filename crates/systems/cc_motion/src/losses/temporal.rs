@@ -12,10 +12,12 @@
 //! phase_monotonic      summed over time, mean over the batch: see PhaseLoss
 //! quat_norm            (|q|^2 - 1)^2
 //! angular_velocity     (w - fps log(q[t+1] q[t]*))^2 / target_angular_velocity^2
-//! position_smoothness  |fps^3 d d d p|^2 / target_jerk^2
+//! position_smoothness  max(0, |d p| - position_smoothness_threshold)
+//! position_jerk        |fps^3 d d d p|^2 / target_jerk^2
 //! ```
 //!
-//! The last three terms are not in CC-MotionGen. CC-MotionGen squares the root of the squared jerk,
+//! CC-MotionGen names `position_smoothness` as a remedy (section 14.1). It lacks `quat_norm`,
+//! `angular_velocity` and `position_jerk`. CC-MotionGen squares the root of the squared jerk,
 //! with a NaN gradient for equal accelerations. This module sums the squares directly, with the
 //! same value.
 
@@ -65,8 +67,13 @@ pub struct TemporalLossConfig {
     pub quat_norm_weight: f64,
     /// Weight of `angular_velocity`.
     pub angular_velocity_weight: f64,
-    /// Weight of `position_smoothness`; the term also penalizes real motion.
+    /// Weight of `position_smoothness`: steps of a coordinate beyond the threshold.
     pub position_smoothness_weight: f64,
+    /// Step of a coordinate between two frames above which `position_smoothness` counts, meters.
+    pub position_smoothness_threshold: f64,
+    /// Weight of `position_jerk`, the squared jerk of the positions; the term also penalizes real
+    /// motion.
+    pub position_jerk_weight: f64,
     /// Meters per second cubed.
     pub target_jerk: f64,
     /// Meters per second.
@@ -94,6 +101,8 @@ impl Default for TemporalLossConfig {
             quat_norm_weight: 0.0,
             angular_velocity_weight: 0.01,
             position_smoothness_weight: 0.0,
+            position_smoothness_threshold: 0.5,
+            position_jerk_weight: 0.0,
             target_jerk: 50_000.0,
             target_vel_coherence: 5.0,
             target_accel_coherence: 100.0,
@@ -181,17 +190,22 @@ pub fn temporal_losses(
         let error = ends(w.clone()).0 - angular_velocity(q.clone());
         mean_frames((error / config.target_angular_velocity).square(), &pairs)
     });
+    add(
+        "position_smoothness",
+        config.position_smoothness_weight,
+        &|| {
+            let (now, next) = ends(p.clone());
+            let excess = (next - now).abs() - config.position_smoothness_threshold;
+            mean_frames(relu(excess), &pairs)
+        },
+    );
     if time >= 4 {
-        add(
-            "position_smoothness",
-            config.position_smoothness_weight,
-            &|| {
-                let jerk = differences(differences(differences(p.clone())));
-                let square = (jerk / config.target_jerk).square().sum_dim(1);
-                let part = |first| frames.clone().narrow(2, first, time - 3);
-                mean_frames(square, &(part(0) * part(3)))
-            },
-        );
+        add("position_jerk", config.position_jerk_weight, &|| {
+            let jerk = differences(differences(differences(p.clone())));
+            let square = (jerk / config.target_jerk).square().sum_dim(1);
+            let part = |first| frames.clone().narrow(2, first, time - 3);
+            mean_frames(square, &(part(0) * part(3)))
+        });
     }
     terms
 }

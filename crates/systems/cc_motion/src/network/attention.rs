@@ -70,7 +70,12 @@ impl AttentionBlock {
         lengths: Option<&Lengths>,
     ) -> Tensor<3> {
         let norm = self.norm.operation().lengths(lengths.cloned());
-        let qkv = self.qkv.operation().norm(norm).forward(x.clone());
+        let qkv = self
+            .qkv
+            .operation()
+            .norm(norm)
+            .recomputed()
+            .forward(x.clone());
         let h = self_attention(qkv, self.num_heads, lengths);
         let x = self.proj.operation().residual(x).forward(h);
 
@@ -84,8 +89,8 @@ impl AttentionBlock {
             return x;
         };
         let norm = norm.operation().lengths(lengths.cloned());
-        let mut q = q.operation().norm(norm).forward(x.clone());
-        let mut kv = kv.forward(context);
+        let mut q = q.operation().norm(norm).recomputed().forward(x.clone());
+        let mut kv = kv.operation().recomputed().forward(context);
         if self.positions {
             let channels = q.dims()[1];
             q = rotate(q, self.num_heads);

@@ -153,7 +153,7 @@ impl Builder<'_> {
 
     fn attention(&self, level: usize, channels: usize, init: &Initializer) -> AttentionBlock {
         let width = Some(self.context_width(level));
-        let heads = self.config.num_heads;
+        let heads = self.config.heads(channels);
         AttentionBlock::new(channels, heads, width, init).with_positions(self.aligned())
     }
 
@@ -231,6 +231,14 @@ impl Builder<'_> {
 }
 
 impl UNet1d {
+    /// The network with timesteps multiplied by `scale`
+    /// ([`timestep_scale`](kinegrad_diffusion::DiffusionConfig::timestep_scale)).
+    #[must_use]
+    pub fn with_timestep_scale(self, scale: f64) -> Self {
+        let time_embed = self.time_embed.scaled(scale);
+        Self { time_embed, ..self }
+    }
+
     /// Predicts the network's target (noise, sample or velocity, as in training) for noisy motion.
     /// Any length of at least one frame is allowed.
     ///

@@ -35,7 +35,9 @@ impl Rollouts {
         config: &RolloutConfig,
         statistics: Arc<Statistics>,
     ) -> Result<Self, Error> {
-        let mut clip = config.clip.range(&statistics, statistics.channels())?;
+        let mut clip = config
+            .clip
+            .range(config.clip_range, &statistics, statistics.channels())?;
         if config.straight_through {
             clip = ClipRange::StraightThrough(Box::new(clip));
         }

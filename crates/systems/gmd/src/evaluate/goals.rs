@@ -262,7 +262,7 @@ impl<'a> Measured<'a> {
     }
 
     fn report(&self, generator: &ClipGenerator, goals: &[Goal], real: &Self) -> GoalReport {
-        let skeleton = generator.config().data.humanml3d.skeleton.skeleton();
+        let skeleton = generator.config().data.humanml3d.skeleton();
         let bodies = self.joints.iter().map(Some).chain(repeat(None));
         let samples = self.samples.iter().zip(goals).zip(bodies);
         let samples = samples.map(|((sample, goal), joints)| GoalSample {

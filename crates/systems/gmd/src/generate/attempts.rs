@@ -23,13 +23,13 @@ pub(crate) struct GroundBounds {
 impl GroundBounds {
     /// That of a trained model.
     pub fn of(trained: &TrainedModel) -> Self {
-        let skeleton = trained.config().data.humanml3d.skeleton.skeleton();
+        let skeleton = trained.config().data.humanml3d.skeleton();
         Self::new(&trained.saved.state.statistics, &skeleton)
     }
 
     /// That of a generator's training.
     pub fn of_generator(generator: &ClipGenerator) -> Self {
-        let skeleton = generator.config().data.humanml3d.skeleton.skeleton();
+        let skeleton = generator.config().data.humanml3d.skeleton();
         Self::new(&generator.state.statistics, &skeleton)
     }
 

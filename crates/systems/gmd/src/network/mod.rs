@@ -15,7 +15,7 @@ mod unet;
 
 pub use conditioner::Conditioner;
 pub use projection::Projection;
-pub use text_denoiser::{Backbone, TextDenoiser};
+pub use text_denoiser::{Along, Backbone, TextDenoiser};
 pub use unet::{GmdUnet, GmdUnetConfig};
 
 use input_skip::InputSkip;

@@ -2,7 +2,7 @@
 
 use burn::module::Module;
 use burn::tensor::Tensor;
-use kinegrad_kernels::{Activation, Convolution, GroupNorm as NormOperation};
+use kinegrad_kernels::{Activation, Convolution, GroupNorm as NormOperation, stored};
 use kinegrad_models::Initializer;
 use kinegrad_models::layers::{Conv1d, GroupNorm, Linear};
 
@@ -104,20 +104,20 @@ impl GmdResBlock {
         let second = self.blocks_at_1_at_block.convolution();
         let h = match (&self.blocks_at_0_at_block1, &self.blocks_at_0_at_block) {
             (Some(first), _) => {
-                let h = first.convolution().forward(x.clone());
-                second.norm(first.norm().film(e)).forward(h)
+                let h = first.convolution().recomputed().forward(x.clone());
+                second.norm(first.norm().film(e)).recomputed().forward(h)
             }
             (None, Some(first)) => {
-                let h = first.convolution().forward(x.clone());
+                let h = first.convolution().recomputed().forward(x.clone());
                 let h = first.norm().forward(h) + e.unsqueeze_dim::<3>(2);
-                second.forward(h)
+                second.recomputed().forward(h)
             }
             (None, None) => unreachable!("a block has a first half"),
         };
         let h = self.blocks_at_1_at_block.norm().forward(h);
         match &self.residual_conv {
             Some(shortcut) => shortcut.operation().residual(h).forward(x),
-            None => h + x,
+            None => stored(h + x),
         }
     }
 }

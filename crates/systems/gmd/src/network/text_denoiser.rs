@@ -10,7 +10,7 @@ use kinegrad_settings::InvalidSetting;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::network::transformer::{Encoder, EncoderConfig};
+use crate::network::transformer::{Encoder, EncoderConfig, PathInput};
 use crate::network::{Conditioner, GmdUnet, GmdUnetConfig, InputSkip, Projection};
 
 /// The backbone and its sizes.
@@ -44,6 +44,14 @@ impl Backbone {
         match self {
             Self::GmdUnet(config) => config.activations(),
             Self::MdmTransformer(config) => config.activations(frames),
+        }
+    }
+
+    /// True for a network with a path condition.
+    pub fn has_path(&self) -> bool {
+        match self {
+            Self::GmdUnet(_) => false,
+            Self::MdmTransformer(config) => config.path,
         }
     }
 
@@ -158,10 +166,18 @@ impl TextDenoiser {
     /// # Panics
     /// Panics if a clip is longer than the UNet's padded length.
     pub fn forward(&self, x_t: Tensor<3>, time: &[Time], text: Tensor<3>) -> Tensor<3> {
-        self.forward_stages(x_t, time, text, None, &mut ())
+        self.forward_stages(x_t, time, text, None, None, &mut ())
     }
 
-    /// [`forward`](Self::forward) with a transformer's dropout in training, and with a UNet's
+    /// True if the network has a path condition.
+    pub fn has_path(&self) -> bool {
+        match &self.flat_network {
+            Network::Unet(_) => false,
+            Network::Transformer(encoder) => encoder.has_path(),
+        }
+    }
+
+    /// [`forward`](Self::forward) with a transformer's path, its dropout in training, and a UNet's
     /// stages: `unet_in_padded` and `unet_out_padded` at the padded length, and the stages of
     /// [`GmdUnet::forward_stages`].
     ///
@@ -172,6 +188,7 @@ impl TextDenoiser {
         x_t: Tensor<3>,
         time: &[Time],
         text: Tensor<3>,
+        path: Option<PathInput<'_>>,
         dropout: DropoutKey,
         stages: &mut impl Stages,
     ) -> Tensor<3> {
@@ -188,7 +205,7 @@ impl TextDenoiser {
                     None => output,
                 }
             }
-            Network::Transformer(encoder) => encoder.forward(x_t, cond, dropout),
+            Network::Transformer(encoder) => encoder.forward(x_t, cond, path, dropout),
         }
     }
 }
@@ -229,5 +246,41 @@ impl Denoiser for TextDenoiser {
 
     fn null_cond(&self, cond: &Tensor<3>) -> Tensor<3> {
         cond.zeros_like()
+    }
+}
+
+/// A network with the paths of a batch.
+#[derive(Debug)]
+pub struct Along<'a> {
+    /// The network.
+    pub network: &'a TextDenoiser,
+    /// Root paths, `[batch, PATH_CHANNELS, time]`.
+    pub path: Option<Tensor<3>>,
+    /// Guidance scale of the path; 1 disables its guidance.
+    pub path_guidance_scale: f64,
+}
+
+impl Denoiser for Along<'_> {
+    type Cond = Tensor<3>;
+
+    /// With a path and its guidance scale s: `without + s (along - without)`, the outputs without the
+    /// path and along it.
+    fn predict(&self, x_t: Tensor<3>, time: &[Time], cond: &Tensor<3>) -> Tensor<3> {
+        let (network, scale) = (self.network, self.path_guidance_scale);
+        let Some(path) = self.path.as_ref().filter(|_| scale != 0.0) else {
+            return network.predict(x_t, time, cond);
+        };
+        let input = PathInput { path, mask: None };
+        let along =
+            network.forward_stages(x_t.clone(), time, cond.clone(), Some(input), None, &mut ());
+        if scale == 1.0 {
+            return along;
+        }
+        let without = network.predict(x_t, time, cond);
+        without.clone() + (along - without) * scale
+    }
+
+    fn null_cond(&self, cond: &Tensor<3>) -> Tensor<3> {
+        self.network.null_cond(cond)
     }
 }

@@ -14,8 +14,8 @@
 //! the squared error of differences from the previous frame.
 //!
 //! `loss.joint_velocity` and `loss.foot_contact` add terms of the joints ([`JointMotion`]). Without
-//! a projection, `loss.trajectory_scale` k weighs the first four channels by k^2 instead (appendix
-//! C.1).
+//! a projection, `loss.trajectory_scale` k weighs the trajectory's channels by k^2 instead (appendix
+//! C.1, `loss.trajectory_form`).
 //!
 //! The trajectory model predicts only the noise of the four root channels: rotation, x, z and
 //! height. The trajectory model overfits quickly and then responds poorly to guidance, so its
@@ -23,30 +23,44 @@
 
 use kinegrad_data::TEXT;
 use kinegrad_diffusion::{GaussianDiffusion, Time};
-use kinegrad_motion::goal::TRAJECTORY_CHANNELS;
 use kinegrad_train::clips::clip_loss;
+use kinegrad_train::clips::path_condition::RootTrajectories;
 use kinegrad_train::denoising::{Conditions, DenoisingRecipe, HeldOut, Inputs};
 
 use super::JointMotion;
-use crate::GmdLossConfig;
+use crate::GmdConfig;
 use crate::network::TextDenoiser;
+use crate::network::transformer::PathInput;
 
 /// Trains a [`TextDenoiser`] on clips of `channels`, validated on `held_out`. The noise has the
-/// network's space.
+/// network's space. `trajectories` are the paths of a path-conditioned network.
 pub fn clip_recipe(
     diffusion: GaussianDiffusion,
     channels: usize,
-    loss: &GmdLossConfig,
+    own: &GmdConfig,
+    trajectories: Option<RootTrajectories>,
     joint_motion: Option<JointMotion>,
     held_out: HeldOut,
 ) -> DenoisingRecipe<TextDenoiser> {
-    let mut channel_weights = vec![1.0; channels];
-    channel_weights[..TRAJECTORY_CHANNELS].fill(loss.trajectory_scale.powi(2));
+    let (loss, paths) = (&own.loss, own.paths.clone());
+    let channel_weights = loss
+        .trajectory_form
+        .weights(channels, loss.trajectory_scale);
     let velocity = loss.velocity;
     DenoisingRecipe::new(
         diffusion,
         held_out,
         move |diffusion, model: &TextDenoiser, inputs, draws, weighted| {
+            let [batch, _, time] = inputs.x_start.dims();
+            let device = inputs.x_start.device();
+            let path = trajectories.as_ref().map(|trajectories| {
+                let lengths = match &inputs.lengths {
+                    Some(lengths) => lengths.frames().to_vec(),
+                    None => vec![time; batch],
+                };
+                let path = trajectories.conditions(&inputs.x_start, &lengths);
+                (path, paths.mask(draws.dropout, batch, &device))
+            });
             let x_start = match model.projection() {
                 Some(projection) => projection.forward(inputs.x_start),
                 None => inputs.x_start,
@@ -54,7 +68,12 @@ pub fn clip_recipe(
             let inputs = Inputs { x_start, ..inputs };
             let (target, mask) = (inputs.x_start.clone(), inputs.mask.clone());
             let network = |x_t, time: &[Time], cond: &Conditions, dropout| {
-                model.forward_stages(x_t, time, cond.get(TEXT).clone(), dropout, &mut ())
+                let path = path.as_ref().map(|(path, mask)| PathInput {
+                    path,
+                    mask: mask.as_ref(),
+                });
+                let text = cond.get(TEXT).clone();
+                model.forward_stages(x_t, time, text, path, dropout, &mut ())
             };
             let weights = &channel_weights;
             let mut loss = clip_loss(

@@ -19,6 +19,7 @@ fn all_terms() -> TemporalLossConfig {
         quat_norm_weight: 1.0,
         angular_velocity_weight: 1.0,
         position_smoothness_weight: 1.0,
+        position_jerk_weight: 1.0,
         ..TemporalLossConfig::default()
     }
 }
@@ -105,8 +106,8 @@ fn padding_does_not_count() {
     }
 }
 
-/// Only the terms with these weights.
-fn alone(quat_norm_weight: f64, position_smoothness_weight: f64) -> TemporalLossConfig {
+/// No term but those with the given weights.
+fn alone(quat_norm_weight: f64, position_jerk_weight: f64) -> TemporalLossConfig {
     TemporalLossConfig {
         velocity_weight: 0.0,
         acceleration_weight: 0.0,
@@ -115,7 +116,7 @@ fn alone(quat_norm_weight: f64, position_smoothness_weight: f64) -> TemporalLoss
         phase_monotonic_weight: 0.0,
         angular_velocity_weight: 0.0,
         quat_norm_weight,
-        position_smoothness_weight,
+        position_jerk_weight,
         // A large target, so that a jerk of some meters per frame cubed is near 1.
         target_jerk: 27_000.0,
         ..TemporalLossConfig::default()
@@ -183,7 +184,7 @@ fn assert_gradient(
 
 /// Positions `c t^3 + d t^2 + e t` over frames have the third difference `6 c` for any d and e.
 #[test]
-fn position_smoothness_is_the_squared_third_difference() {
+fn position_jerk_is_the_squared_third_difference() {
     let cubic = [[1.0, -2.0, 3.0], [0.5, 0.0, -1.0]];
     let path = |sample: usize, frame: usize, channel: usize| {
         let t = frame as f64;
@@ -208,6 +209,42 @@ fn position_smoothness_is_the_squared_third_difference() {
 
     // The term is quadratic, so central differences of any step equal its slopes.
     assert_gradient(&values, 7, &config, 0..3, 4.0);
+}
+
+/// CC-MotionGen, section 14.1: `relu(|d p| - 0.5)`, the mean over frames and coordinates.
+#[test]
+fn position_smoothness_is_the_excess_of_each_step_over_the_threshold() {
+    // Meters per frame: of three coordinates, one at the threshold, one beyond it in either sign.
+    let steps = [[0.5, 0.75, -1.5], [0.1, -0.2, 0.625]];
+    let path = |sample: usize, frame: usize, channel: usize| match channel {
+        0..3 => steps[sample][channel] * frame as f64,
+        _ => 7.0 * (frame as f64 + channel as f64).sin(),
+    };
+    let of = |sample: usize, threshold: f64| -> f64 {
+        let excess = steps[sample]
+            .iter()
+            .map(|step: &f64| step.abs() - threshold);
+        excess.map(|excess| excess.max(0.0)).sum::<f64>() / 3.0
+    };
+    let weight = 2.5;
+    let mut config = TemporalLossConfig {
+        position_smoothness_weight: weight,
+        ..alone(0.0, 0.0)
+    };
+    assert_eq!(config.position_smoothness_threshold, 0.5);
+    let values = motion(path);
+    for threshold in [0.5, 0.7] {
+        config.position_smoothness_threshold = threshold;
+        // 7 real frames have 6 steps, 9 frames have 8.
+        let (found, _) = only(&values, 7, &config);
+        let expected = weight * (8.0 * of(0, threshold) + 6.0 * of(1, threshold)) / 14.0;
+        assert!((found / expected - 1.0).abs() < 1e-5, "{found} {expected}");
+    }
+    // The term is linear beyond the threshold.
+    assert_gradient(&values, 7, &config, 0..3, 0.01);
+    // Steps of real motion, 3 m/s, are free.
+    let slow = motion(|sample, frame, channel| path(sample, frame, channel) / 15.0);
+    assert_eq!(only(&slow, FRAMES, &config).0, 0.0);
 }
 
 /// Quaternions with one norm per sample, in changing directions.

@@ -117,6 +117,19 @@ pub enum Coherence {
     Full,
 }
 
+/// The activation inside a decoder's residual blocks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum DecoderActivation {
+    /// Exact GELU.
+    #[default]
+    Gelu,
+    /// ReLU.
+    Relu,
+    /// SiLU.
+    Silu,
+}
+
 /// Initial weights of a decoder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -138,6 +151,12 @@ pub struct DecoderConfig {
     pub num_layers: usize,
     /// Dropout inside the residual blocks.
     pub dropout: f64,
+    /// LayerNorm at the start of each residual block; otherwise BatchNorm over all frames of a
+    /// batch, padding included, with running statistics of momentum 0.1 outside training.
+    /// BatchNorm needs batches of two or more frames and one rank.
+    pub use_layer_norm: bool,
+    /// The activation inside the residual blocks.
+    pub activation: DecoderActivation,
     /// The bound of each component.
     pub output_activations: OutputActivations,
     /// The bounds of `tanh_scaled`.
@@ -154,6 +173,8 @@ impl Default for DecoderConfig {
             hidden_dim: 256,
             num_layers: 3,
             dropout: 0.1,
+            use_layer_norm: true,
+            activation: DecoderActivation::default(),
             output_activations: OutputActivations::default(),
             output_ranges: OutputRanges::default(),
             coherence: Coherence::default(),

@@ -11,9 +11,9 @@ use std::sync::Arc;
 
 use burn::module::Module;
 use burn::tensor::Tensor;
-use burn::tensor::activation::sigmoid;
+use burn::tensor::activation::{relu, sigmoid, silu};
 use kinegrad_kernels::{gelu, linear_map};
-use kinegrad_models::layers::{LayerNorm, Linear};
+use kinegrad_models::layers::{BatchNorm, LayerNorm, Linear};
 use kinegrad_models::{Dropout, DropoutKey, Initializer};
 use kinegrad_motion::ChannelEncoding;
 use kinegrad_motion::phrase::{ANGULAR_VELOCITY, CHANNELS, FPS, QUATERNION};
@@ -24,7 +24,8 @@ use crate::network::rotation::angular_velocity;
 use coherent::{ESTIMATES, Fits};
 
 pub use config::{
-    Coherence, DecoderConfig, DecoderInit, OutputActivation, OutputActivations, OutputRanges,
+    Coherence, DecoderActivation, DecoderConfig, DecoderInit, OutputActivation, OutputActivations,
+    OutputRanges,
 };
 
 /// A quaternion with a smaller norm is not normalized.
@@ -39,21 +40,39 @@ pub struct Normalization {
     pub std: Vec<f64>,
 }
 
-/// `h + Linear(GELU(Linear(LayerNorm(h))))`, four times as wide inside: a torch `Sequential` of
-/// LayerNorm, Linear, GELU, Dropout, Linear, Dropout.
+/// The normalization at the start of a block.
+#[derive(Module, Debug)]
+enum BlockNorm {
+    Layer(LayerNorm),
+    Batch(BatchNorm),
+}
+
+/// `h + Linear(act(Linear(norm(h))))`, four times as wide inside: a torch `Sequential` of LayerNorm
+/// or BatchNorm, Linear, activation, Dropout, Linear, Dropout.
 #[derive(Module, Debug)]
 struct DecoderBlock {
-    layers_at_0: LayerNorm,
+    layers_at_0: BlockNorm,
     layers_at_1: Linear,
     layers_at_4: Linear,
     dropout: Dropout,
     dropout_out: Dropout,
+    #[module(skip)]
+    activation: DecoderActivation,
 }
 
 impl DecoderBlock {
     fn forward(&self, h: Tensor<2>, dropout: DropoutKey) -> Tensor<2> {
-        let normalized = self.layers_at_0.forward(h.clone());
-        let inner = gelu(self.layers_at_1.forward(normalized));
+        let normalized = match &self.layers_at_0 {
+            BlockNorm::Layer(norm) => norm.forward(h.clone()),
+            // Only training passes have a key.
+            BlockNorm::Batch(norm) => norm.forward(h.clone(), dropout.is_some()),
+        };
+        let inner = self.layers_at_1.forward(normalized);
+        let inner = match self.activation {
+            DecoderActivation::Gelu => gelu(inner),
+            DecoderActivation::Relu => relu(inner),
+            DecoderActivation::Silu => silu(inner),
+        };
         let inner = self.dropout.forward(inner, dropout);
         let inner = self.layers_at_4.forward(inner);
         h + self.dropout_out.forward(inner, dropout)
@@ -138,11 +157,15 @@ impl DecoderConfig {
                 .map(|i| {
                     let init = init.at("blocks").at(&i.to_string()).at("layers");
                     DecoderBlock {
-                        layers_at_0: LayerNorm::new(hidden, &init.at("0")),
+                        layers_at_0: match self.use_layer_norm {
+                            true => BlockNorm::Layer(LayerNorm::new(hidden, &init.at("0"))),
+                            false => BlockNorm::Batch(BatchNorm::new(hidden, &init.at("0"))),
+                        },
                         layers_at_1: Linear::new(hidden, 4 * hidden, &init.at("1")),
                         layers_at_4: Linear::new(4 * hidden, hidden, &init.at("4")),
                         dropout: Dropout::new(self.dropout, 2 * i),
                         dropout_out: Dropout::new(self.dropout, 2 * i + 1),
+                        activation: self.activation,
                     }
                 })
                 .collect(),

@@ -25,8 +25,11 @@ pub struct UNet1dConfig {
     pub num_res_blocks: usize,
     /// Levels with attention; level 0 is the finest. Omitted: all levels except 0.
     pub attention_levels: Option<Vec<usize>>,
-    /// Number of attention heads at every width.
+    /// Number of attention heads at every width, unless `num_head_channels` is set.
     pub num_heads: usize,
+    /// Channels of each attention head: wider levels have more heads. Omitted: `num_heads` heads.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub num_head_channels: Option<usize>,
     /// Apply the timestep as scale and shift (FiLM) instead of addition.
     pub use_scale_shift_norm: bool,
     /// Width of the time embedding.
@@ -96,6 +99,7 @@ impl UNet1dConfig {
             num_res_blocks: 2,
             attention_levels: None,
             num_heads: 8,
+            num_head_channels: None,
             use_scale_shift_norm: true,
             time_embed_dim: 256,
             context_dim: 256,
@@ -140,6 +144,12 @@ impl UNet1dConfig {
     pub fn channels(&self) -> Vec<usize> {
         let mults = self.channel_mult.iter();
         mults.map(|mult| self.model_channels * mult).collect()
+    }
+
+    /// Attention heads of a width.
+    pub fn heads(&self, width: usize) -> usize {
+        self.num_head_channels
+            .map_or(self.num_heads, |channels| width / channels.max(1))
     }
 
     /// Levels with attention.
@@ -192,15 +202,21 @@ impl UNet1dConfig {
         let aligned = self.audio_conditioning == AudioConditioning::Aligned;
         for level in attending.into_iter().chain([coarsest]).chain(ups) {
             let width = channels[level];
-            let heads = |fit: bool, allowed: String| {
-                require(fit, "model.num_heads", self.num_heads, allowed).hint("CC-MotionGen has 8")
+            let (key, given, hint) = match self.num_head_channels {
+                Some(channels) => (
+                    "model.num_head_channels",
+                    channels,
+                    "CC-MotionGen names 64; leave the key out for `model.num_heads` heads",
+                ),
+                None => ("model.num_heads", self.num_heads, "CC-MotionGen has 8"),
             };
+            let heads = |fit: bool, allowed: String| require(fit, key, given, allowed).hint(hint);
             heads(
-                self.num_heads > 0 && width.is_multiple_of(self.num_heads),
+                given > 0 && width.is_multiple_of(given),
                 format!("a divisor of level {level}'s {width} channels"),
             )?;
             heads(
-                !aligned || (width / self.num_heads).is_multiple_of(2),
+                !aligned || (width / self.heads(width)).is_multiple_of(2),
                 format!(
                     "heads of an even number of level {level}'s {width} channels, which \
                      `model.audio_conditioning = \"aligned\"` turns in pairs"

@@ -394,3 +394,41 @@ fn old_configs_are_read_as_ccmotion() {
         "{error}"
     );
 }
+
+#[test]
+fn rescaled_timesteps_are_other_timesteps() {
+    let device = Device::flex();
+    let plain = network(AudioConditioning::Ccmotion, &device);
+    let x = normal(0, [1, 25, 12], &device);
+    let audio = normal(1, [1, FEATURES, 12], &device);
+    let of = |network: &UNet1d, t: usize| {
+        network.forward(x.clone(), &Time::of(&[t]), audio.clone(), None)
+    };
+    let (at_100, at_400) = (of(&plain, 100), of(&plain, 400));
+    let rescaled = plain.with_timestep_scale(4.0);
+    assert_eq!(of(&rescaled, 100).into_data(), at_400.clone().into_data());
+    assert!(largest(at_100 - at_400) > 1e-3);
+}
+
+#[test]
+fn heads_of_a_number_of_channels_are_more_on_wider_levels() {
+    let wide = UNet1dConfig {
+        num_head_channels: Some(16),
+        channel_mult: vec![1, 2],
+        ..config(AudioConditioning::Ccmotion)
+    };
+    wide.validate().expect("a divisor of both widths");
+    assert_eq!((wide.heads(32), wide.heads(64)), (2, 4));
+    let eight = config(AudioConditioning::Ccmotion);
+    assert_eq!((eight.heads(32), eight.heads(64)), (8, 8));
+    let refused = |channels| {
+        let config = UNet1dConfig {
+            num_head_channels: Some(channels),
+            ..config(AudioConditioning::Aligned)
+        };
+        config.validate().expect_err("refused").key
+    };
+    for channels in [0, 5, 64, 1] {
+        assert_eq!(refused(channels), "model.num_head_channels", "{channels}");
+    }
+}

@@ -1,12 +1,78 @@
-//! The path condition of the network (docs/sources.md, section 7, option C).
+//! Root paths as a condition of networks (docs/sources.md, section 7, option C).
 
 use burn::tensor::{Device, Tensor, TensorData};
+use kinegrad_models::DropoutKey;
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::Root;
 use kinegrad_motion::path::PathFeatures;
-use kinegrad_train::clips::path_target::root_trajectory;
+use kinegrad_settings::{InvalidSetting, in_range, require};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
-use crate::network::PATH_CHANNELS;
+use super::path_target::root_trajectory;
+
+/// Channels of a path in a frame: position x and z, meters; velocity along x and z, meters per
+/// second; sine and cosine of the heading; curvature, 1 / meter.
+pub const PATH_CHANNELS: usize = 7;
+
+/// Place of the path's tokens, one per frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum PathTokens {
+    /// Added to the frames' tokens. An untrained path changes nothing.
+    #[default]
+    Added,
+    /// Concatenated to the condition of text and timestep, on which the queries of each layer
+    /// depend. An untrained path changes nothing. Not for `kind = "mdm_transformer"`, whose
+    /// condition is one token.
+    Concatenated,
+    /// Additional rows of the sequence, to which the frames attend: twice the work. Frames without
+    /// a path attend to no row.
+    Rows,
+}
+
+/// The table `paths`: training of a path-conditioned network (`model.path`).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct PathTrainingConfig {
+    /// Probability of dropping a training sample's path. 0.1 also trains the network without paths.
+    /// Recipe `path_adapter` needs no dropping, because its base was trained without paths.
+    pub drop_prob: f64,
+}
+
+impl PathTrainingConfig {
+    /// Checks the table for a network with or without a path.
+    ///
+    /// # Errors
+    /// Names the invalid key.
+    pub fn validate(&self, has_path: bool) -> Result<(), InvalidSetting> {
+        let (key, prob) = ("paths.drop_prob", self.drop_prob);
+        in_range(key, prob, 0.0..=1.0)?;
+        let allowed = "0 without `model.path`";
+        require(prob == 0.0 || has_path, key, prob, allowed)
+    }
+
+    /// The mask of a training step, `[batch, 1, 1]`: 0 for dropped paths, else 1; `None` without
+    /// dropping.
+    pub fn mask(&self, key: DropoutKey, batch: usize, device: &Device) -> Option<Tensor<3>> {
+        let key = key.filter(|_| self.drop_prob > 0.0)?.named("path");
+        let uniforms = key.uniforms(batch).into_iter();
+        let mask = uniforms.map(|u| f32::from(f64::from(u) >= self.drop_prob));
+        let data = TensorData::new(mask.collect(), [batch, 1, 1]);
+        Some(Tensor::from_data(data, device))
+    }
+}
+
+/// True for the motions of a mask `[batch, 1, 1]` that keep their path; all without a mask.
+pub fn kept_by(mask: Option<&Tensor<3>>, batch: usize) -> Vec<bool> {
+    match mask {
+        None => vec![true; batch],
+        Some(mask) => {
+            let mask = mask.clone().try_into_vec_as::<f32>().expect("float32");
+            mask.into_iter().map(|value| value > 0.0).collect()
+        }
+    }
+}
 
 /// Channels of the root: rotation, x, z, height.
 const ROOT: usize = 4;
@@ -17,7 +83,7 @@ const SHARPEST: f32 = 3.0;
 
 /// The root trajectories of training clips as path conditions.
 #[derive(Clone, Debug)]
-pub(super) struct RootTrajectories {
+pub struct RootTrajectories {
     root: Root,
     mean: Vec<f64>,
     std: Vec<f64>,
@@ -59,10 +125,22 @@ impl RootTrajectories {
 }
 
 /// The condition of one path with a point per frame: `[1, PATH_CHANNELS, frames]`.
-pub(super) fn of_path(points: &[[f64; 2]], fps: f64, device: &Device) -> Tensor<3> {
-    let frames = points.len();
-    let values = numbers(points, fps, frames);
-    Tensor::from_data(TensorData::new(values, [1, PATH_CHANNELS, frames]), device)
+pub fn of_path(points: &[[f64; 2]], fps: f64, device: &Device) -> Tensor<3> {
+    of_paths(&[points], fps, points.len(), device)
+}
+
+/// The conditions of paths with a point per frame, `[paths, PATH_CHANNELS, time]`, zeros behind a
+/// path's end.
+///
+/// # Panics
+/// If a path has more than `time` points.
+pub fn of_paths(paths: &[&[[f64; 2]]], fps: f64, time: usize, device: &Device) -> Tensor<3> {
+    let values: Vec<f32> = paths
+        .iter()
+        .flat_map(|path| numbers(path, fps, time))
+        .collect();
+    let shape = [paths.len(), PATH_CHANNELS, time];
+    Tensor::from_data(TensorData::new(values, shape), device)
 }
 
 /// The values of all frames, channel by channel, padded with zeros to `time`.
@@ -89,8 +167,25 @@ fn numbers(track: &[[f64; 2]], fps: f64, time: usize) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use kinegrad_motion::path::root_channels;
+    use kinegrad_random::{Key, Purpose};
 
     use super::*;
+
+    #[test]
+    fn paths_are_dropped_as_often_as_asked() {
+        let mean_of = |key, drop_prob| {
+            let paths = PathTrainingConfig { drop_prob };
+            let mask = paths.mask(key, 64, &Device::flex())?;
+            let kept = kept_by(Some(&mask), 64).into_iter().filter(|kept| *kept);
+            let (count, mean) = (kept.count() as f32, mask.mean().into_scalar::<f32>());
+            assert!((count / 64.0 - mean).abs() < 1e-6);
+            Some(mean)
+        };
+        let key = Key::new(1, Purpose::Dropout);
+        let mean = (0..50).map(|step| mean_of(Some(key.at(step)), 0.1).expect("a key"));
+        assert!((mean.sum::<f32>() / 50.0 - 0.9).abs() < 0.02);
+        assert_eq!((mean_of(Some(key), 0.0), mean_of(None, 0.1)), (None, None));
+    }
 
     #[test]
     fn conditions_are_the_paths_of_clips_for_both_roots_and_with_padding() {
