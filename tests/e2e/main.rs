@@ -45,6 +45,7 @@ mod run_folders;
 mod sizes;
 mod song_evaluation;
 mod songs;
+mod source_configs;
 mod source_settings;
 mod stages;
 mod style;

@@ -163,6 +163,10 @@ fn every_shipped_config_is_valid() {
     let mut seen = 0;
     for config in configs {
         let path = config.expect("an entry").path();
+        if path.is_dir() {
+            // The configs of the sources have a test of their own.
+            continue;
+        }
         let plans = [("prepare.toml", "captures"), ("bodies.toml", "bandai")];
         if let Some((_, captures)) = plans.iter().find(|(plan, _)| path.ends_with(plan)) {
             // A plan without its captures.

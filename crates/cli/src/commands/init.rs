@@ -188,7 +188,8 @@ mod tests {
         let files = std::fs::read_dir(folder)
             .expect("the folder of configs")
             .flatten();
-        for file in files.map(|entry| entry.path()) {
+        let files = files.map(|entry| entry.path());
+        for file in files.filter(|path| path.is_file()) {
             let name = file.file_stem().expect("a name").to_string_lossy();
             assert!(find(&name).is_ok(), "{name}");
         }
