@@ -380,6 +380,7 @@ fn feet_of_a_loop_are_locked_across_its_seam() {
                 ..job().settings
             },
             seed,
+            adapts: true,
             ..standing.clone()
         };
         let made = job.make(&[example.clone()]).unwrap();

@@ -8,7 +8,7 @@ use crate::banded::Cholesky;
 use crate::vector::{length, minus, plus};
 
 /// Weight of a step in contact against the squared third difference of the correction.
-const CONTACT: f64 = 1e4;
+const CONTACT: f64 = 1e5;
 
 /// Weight of a contact's mean correction: feet stand around where they were.
 const SIZE: f64 = 0.3;

@@ -163,7 +163,7 @@ pub fn lock(
 }
 
 /// A vector without its height.
-pub fn on_ground(mut vector: [f64; 3], up: usize) -> [f64; 3] {
+fn on_ground(mut vector: [f64; 3], up: usize) -> [f64; 3] {
     vector[up] = 0.0;
     vector
 }
