@@ -303,14 +303,15 @@ fn phrases_follow_a_path_from_a_file() {
 fn tokens_in_other_places_and_guidance_over_the_path_change_the_motion() {
     let sandbox = compose::sandbox();
     sandbox.write("quarter.toml", quarter());
-    let base = "train c.toml --set train.max_steps=4 --name";
+    let base = "train c.toml --set train.max_steps=4 --set ema.update_every=1 --name";
     sandbox.run(&format!("{base} plain")).succeeded();
     let mut found = Vec::new();
     for tokens in ["added", "concatenated", "rows"] {
         // An adapter with other tokens, from a network without a path, goes on as it stopped.
         let line = format!(
             "train c.toml --name {tokens} --set train.recipe=path_adapter --set \
-             init.diffusion=runs/plain --set model.path_tokens={tokens} --set train.max_steps="
+             init.diffusion=runs/plain --set model.path_tokens={tokens} --set ema.update_every=1 \
+             --set train.max_steps="
         );
         sandbox.run(&format!("{line}6")).succeeded();
         let parts = line.replace(
@@ -369,13 +370,14 @@ fn a_motion_model_of_the_mdm_kind_is_conditioned_on_paths() {
     for tokens in ["added", "rows"] {
         let line = format!(
             "train motion.toml --name {tokens} --set model.path=true --set \
-             model.path_tokens={tokens} --set paths.drop_prob=0.3 --set train.max_steps=6"
+             model.path_tokens={tokens} --set paths.drop_prob=0.3 --set train.max_steps=6 \
+             --set ema.update_every=1"
         );
         sandbox.run(&line).succeeded();
         let sample = |set: &str| {
             let line = format!(
-                "sample runs/{tokens} --path quarter.toml --frames 16 --out out --overwrite --set \
-                 steering.scale=0 --set steering.imputation=false {set}"
+                "sample runs/{tokens} --path quarter.toml --frames 16 --out out --overwrite \
+                 --allow-unusable --set steering.scale=0 --set steering.imputation=false {set}"
             );
             sandbox.run(&line).succeeded();
             track(&sandbox, "out.npy")

@@ -138,10 +138,13 @@ fn schedules_of_configs_and_runs_are_plotted() {
     };
     config("one", "cosine");
     config("two", "linear");
-    let line = "plot --schedule one.toml two.toml runs/smallest --out schedule.svg";
+    config("three", "sqrt");
+    let text = fs::read(sandbox.path("three.toml")).expect("a config");
+    sandbox.write("runs/three/config.toml", text);
+    let line = "plot --schedule one.toml two.toml runs/three --out schedule.svg";
     sandbox.run(line).succeeded();
     let picture = fs::read_to_string(sandbox.path("schedule.svg")).expect("a picture");
-    for name in ["one", "two", "smallest"] {
+    for name in ["one", "two", "three"] {
         let titles = [
             format!("{name}: factors in x_t"),
             format!("{name}: share of the output in a step"),
