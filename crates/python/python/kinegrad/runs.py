@@ -181,7 +181,7 @@ class Run:
         postprocess: Literal["default", "ccmotion", "none"] = "default",
         style: str | Sequence[float] | None = None,
         best_of: int | None = None,
-        select_by: Sequence[Literal["checks", "beat", "goal", "skating"]] = ("checks",),
+        select_by: Sequence[Literal["checks", "beat", "goal", "skating", "text"]] = ("checks",),
         count: int = 1,
         frames: int | None = None,
         seconds: float | None = None,
