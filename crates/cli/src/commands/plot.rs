@@ -93,7 +93,7 @@ fn schedule_panels(systems: Systems<'_>, input: &Path) -> Result<Vec<Panel>, Err
         true => input.join("config.toml"),
         false => input.to_path_buf(),
     };
-    let config = load_config(systems, &file, &[], &mut |missing| {
+    let (config, _) = load_config(systems, &file, &[], &[], &mut |missing| {
         tell!("warning: {missing}; its process is not shown");
     })?;
     let Some(schedule) = config.noise_schedule()? else {

@@ -10,8 +10,8 @@ use std::time::Instant;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinegrad_cc_motion::network::unet1d::{AudioConditioning, UNet1dConfig};
-use kinegrad_diffusion::{Denoiser, Time};
-use kinegrad_models::{Initializer, NetworkConfig};
+use kinegrad_diffusion::Time;
+use kinegrad_models::Initializer;
 use kinegrad_random::{Key, Purpose};
 
 static LIVE: AtomicUsize = AtomicUsize::new(0);
