@@ -181,7 +181,7 @@ class Run:
         postprocess: Literal["default", "ccmotion", "none"] = "default",
         style: str | Sequence[float] | None = None,
         best_of: int | None = None,
-        select_by: Sequence[Literal["checks", "beat", "goal", "skating"]] = ("checks",),
+        select_by: Sequence[Literal["checks", "beat", "goal", "skating", "text"]] = ("checks",),
         count: int = 1,
         frames: int | None = None,
         seconds: float | None = None,
@@ -230,8 +230,8 @@ class Run:
                 eight numbers in the units of the motion's style channels.
             best_of: Number of samples of each condition of which the best is returned.
             select_by: What `best_of` compares, the first measure first: `"checks"`, `"beat"` (of
-                phrases), `"goal"` (or path), `"skating"` (of bodies). `record["selection"]` has the
-                scores of all.
+                phrases), `"goal"` (or path), `"skating"` (of bodies), `"text"` (of clips).
+                `record["selection"]` has the scores of all.
             count: Samples per condition.
             frames: Frames to generate; by default the length of the condition.
             seconds: Seconds to generate, instead of `frames`.
