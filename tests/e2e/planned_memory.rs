@@ -77,12 +77,15 @@ fn activation_checkpointing_takes_less_memory_and_changes_no_bit() {
     for (name, train) in [
         (
             "phrases",
-            "train c.toml --set model.model_channels=64 --set data.target_frames=64 \
-             --set data.batch_size=32 --set data.synthetic.phrases=64",
+            "train c.toml --set model.model_channels=64 --set model.num_res_blocks=3 \
+             --set data.target_frames=40 --set data.batch_size=256 \
+             --set data.synthetic.phrases=300",
         ),
         (
             "walks",
-            "train w.toml --set data.batch_size=32 --set model.latent_dim=128",
+            "train w.toml --set model.latent_dim=64 --set data.target_frames=40 \
+             --set model.padded_frames=44 --set data.batch_size=256 \
+             --set data.synthetic.phrases=300",
         ),
     ] {
         let taken = ["stored", "recomputed"].map(|kind| {
@@ -100,7 +103,7 @@ fn activation_checkpointing_takes_less_memory_and_changes_no_bit() {
         });
         let share = taken[1] as f64 / taken[0] as f64;
         assert!(
-            share < 0.8,
+            share < 0.85,
             "{name}: {} and {} KiB",
             taken[0] >> 10,
             taken[1] >> 10

@@ -37,6 +37,10 @@ const COPIES_WITHOUT_LOSS: u64 = 4;
 /// measured on a UNet of one level. Deep UNets need half.
 const PARTS_OF_ACTIVATIONS: u64 = 4;
 
+/// Tenths of the activations that checkpointing stores, at most: 3 to 4 were measured on UNets of
+/// phrases (`examples/activation_memory.rs` there).
+const CHECKPOINTED_TENTHS: u64 = 5;
+
 impl Footprint {
     /// The footprint of one pass through `network`, without shared numbers.
     pub fn of<M: Module>(network: &M, activations: u64, item: usize) -> Self {
@@ -46,6 +50,20 @@ impl Footprint {
             passes: 1,
             item: item as u64,
             shared: 0,
+        }
+    }
+
+    /// The footprint with activation checkpointing, if it `is` used, of a network whose blocks compute
+    /// activations again.
+    #[must_use]
+    pub fn checkpointed(self, is: bool) -> Self {
+        let activations = match is {
+            true => self.activations / 10 * CHECKPOINTED_TENTHS,
+            false => self.activations,
+        };
+        Self {
+            activations,
+            ..self
         }
     }
 

@@ -95,9 +95,11 @@ pub(super) fn parameters(config: &Config) -> Result<ParameterCount, Error> {
 }
 
 pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Error> {
-    let sizes = config.own::<BpeTables>().model.network.sizes();
+    let model = &config.own::<BpeTables>().model;
+    let sizes = model.network.sizes();
     let channels = config.data.humanml3d.representation().channels();
     let item = channels * frames + text_input(config).channels();
     let network = network(config, &Device::flex())?;
-    Ok(Footprint::of(&network, sizes.activations(frames), item))
+    let footprint = Footprint::of(&network, sizes.activations(frames), item);
+    Ok(footprint.checkpointed(model.activation_checkpointing))
 }

@@ -136,17 +136,19 @@ pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Err
     let network = unet1d(config);
     let unet = denoiser(config, &Device::flex())?;
     let a_pass = network.activations(frames);
+    let checkpoints = own.model.activation_checkpointing;
     let audio = config.data.audio_layout().channels();
     let item = (network.targets().channels() + audio) * frames;
     if !RecipeName::of(config).trains_through_sampler() {
-        return Ok(Footprint::of(&unet, a_pass, item));
+        return Ok(Footprint::of(&unet, a_pass, item).checkpointed(checkpoints));
     }
     let activations = a_pass + own.decoder.activations(frames);
-    Ok(Footprint {
+    let footprint = Footprint {
         passes: own.rollout.stored_passes(),
         shared: own.decoder.shared(frames),
         ..Footprint::of(&lazy_model(config, unet)?, activations, item)
-    })
+    };
+    Ok(footprint.checkpointed(checkpoints))
 }
 
 /// Denoiser and decoder as the config's recipe trains them, with fresh weights.

@@ -61,9 +61,11 @@ pub(super) fn parameters_in_space(config: &Config) -> Result<ParameterCount, Err
 pub(super) fn footprint(config: &Config, frames: usize) -> Result<Footprint, Error> {
     let channels = channels_of(config);
     let item = channels * frames + text_input(config).channels();
-    let activations = config.own::<GmdConfig>().model.network.activations(frames);
+    let model = &config.own::<GmdConfig>().model;
+    let activations = model.network.activations(frames);
     let network = text_denoiser(config, channels, &Device::flex())?;
-    Ok(Footprint::of(&network, activations, item))
+    let footprint = Footprint::of(&network, activations, item);
+    Ok(footprint.checkpointed(model.activation_checkpointing))
 }
 
 /// [`text_denoiser`] in the space of the config's `emphasis`.
