@@ -43,7 +43,7 @@ fn epochs_are_steps_over_the_training_items() {
         .succeeded();
     let summary: Value = serde_json::from_str(&summary.stdout).expect("JSON");
     assert_eq!(
-        (&summary["step"], &summary["max_steps"]),
+        (&summary["steps"], &summary["max_steps"]),
         (&6.into(), &6.into())
     );
     assert_eq!(

@@ -152,7 +152,7 @@ impl TrainPrecision {
 pub struct TrainConfig {
     /// The training recipe, which belongs to one system.
     pub recipe: String,
-    /// Total number of optimizer steps. Omitted: 16400, or `epochs`.
+    /// Total number of optimizer steps. Omitted: the recipe's default, or `epochs`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_steps: Option<u64>,
     /// Total number of epochs, instead of `max_steps`. An epoch has the training items divided by
@@ -332,7 +332,7 @@ impl ClipSample {
                 false,
                 "clip_range",
                 bound,
-                "nothing without `clip = \"symmetric\"`",
+                "set only with `clip = \"symmetric\"`",
             ),
             (_, None) => Ok(()),
         };

@@ -50,6 +50,7 @@ impl Drawing<'_> {
             &mut predict,
             start,
             &path,
+            &Ddpm::default(),
             NoiseKeys::Fixed(&given),
             &mut |_, _, state: &_| {
                 states.push(state.clone());

@@ -5,8 +5,8 @@ use std::ops::ControlFlow;
 use burn::module::Module as _;
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
-    ClipRange, FixedNoise, Guidance, Networks, NoiseKeys, PredictionType, Space as _, Steering,
-    Time, TimestepPath, ddpm, steered_prediction,
+    ClipRange, Ddpm, FixedNoise, Guidance, Networks, NoiseKeys, PredictionType, Space as _,
+    Steering, Time, TimestepPath, ddpm, steered_prediction,
 };
 use kinegrad_gmd::GroundObjective;
 use kinegrad_motion::goal::{
@@ -71,6 +71,7 @@ fn draw(golden: &Golden, frames: usize, padded: usize) -> Tensor<3> {
         &mut predict,
         start,
         &path,
+        &Ddpm::default(),
         NoiseKeys::Fixed(&given),
         go_on,
     )

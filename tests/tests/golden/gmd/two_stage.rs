@@ -6,8 +6,8 @@ use std::ops::ControlFlow;
 use burn::module::Module as _;
 use burn::tensor::{Device, Tensor};
 use kinegrad_diffusion::{
-    ClipRange, FixedNoise, Networks, NoiseKeys, PredictionType, Space as _, Time, TimestepPath,
-    ddpm, steered_prediction,
+    ClipRange, Ddpm, FixedNoise, Networks, NoiseKeys, PredictionType, Space as _, Time,
+    TimestepPath, ddpm, steered_prediction,
 };
 use kinegrad_gmd::network::TextDenoiser;
 use kinegrad_gmd::{Padding, StageModel, StageSteering, SteeringConfig};
@@ -231,6 +231,7 @@ fn draw(
         &mut predict,
         start,
         &path,
+        &Ddpm::default(),
         keys,
         &mut |_, _, x| {
             samples.push(x.clone());
