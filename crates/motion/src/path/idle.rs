@@ -79,6 +79,9 @@ fn pose(joints: &Joints, skeleton: &Skeleton, moment: f64) -> Vec<[f64; 3]> {
     let frame = (moment as usize).min(last);
     let (a, b) = (joints.frame(frame), joints.frame((frame + 1).min(last)));
     let share = moment - frame as f64;
+    if share == 0.0 {
+        return a.to_vec();
+    }
     let scaled = |vector: [f64; 3], factor: f64| vector.map(|value| value * factor);
     let mixed = |x: [f64; 3], y: [f64; 3]| plus(x, scaled(minus(y, x), share));
     let mut pose = a.to_vec();

@@ -105,10 +105,10 @@ fn dictionaries_with_other_contents_are_refused_by_their_entry() {
     let (_, file) = FILES[0];
     // Shape (2, 2, 3, 5), as one-byte numbers of a tuple.
     let shape = b"K\x02K\x02K\x03K\x05";
-    for (from, to, expected) in [
+    let cases: [(&[u8], &[u8], &str); 8] = [
         (
-            &b"motion"[..],
-            &b"notion"[..],
+            b"motion",
+            b"notion",
             "no `motion`, but: notion, text, lengths",
         ),
         (
@@ -138,7 +138,8 @@ fn dictionaries_with_other_contents_are_refused_by_their_entry() {
             b"\x05\0\0\0\0\0\0\xff",
             "`lengths`: not whole numbers",
         ),
-    ] {
+    ];
+    for (from, to, expected) in cases {
         let found = MotionFile::parse(&edited(file, from, to), "r.npy").unwrap_err();
         let found = found.to_string();
         assert!(found.contains(expected), "{expected}: {found}");
