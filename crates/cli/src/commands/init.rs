@@ -37,6 +37,7 @@ const TEMPLATES: &[Template] = templates![
     "e2e_quickstart",
     "gmd_motion",
     "gmd_trajectory",
+    "mdm",
     "gmd_motion_tiny",
     "gmd_trajectory_tiny",
     "bodies_motion",

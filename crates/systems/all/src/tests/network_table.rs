@@ -19,7 +19,7 @@ fn kind_and_size_fill_in_what_is_not_said() {
     let model = read("kind = \"mdm_transformer\"\nff_size = 96").expect("a good table");
     let expected = "size = \"mdm\"\nkind = \"mdm_transformer\"\nlatent_dim = 512\n\
                     num_layers = 8\nnum_heads = 4\nff_size = 96\ndropout = 0.1\n\
-                    activation_checkpointing = false\n";
+                    path = false\npath_tokens = \"added\"\nactivation_checkpointing = false\n";
     assert_eq!(toml::to_string(&model).expect("plain data"), expected);
 }
 
