@@ -42,7 +42,7 @@ struct Document {
 
 /// One name or several.
 #[derive(Deserialize, Serialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "expected a name or a list of names")]
 enum Names {
     One(String),
     Several(Vec<String>),
