@@ -143,6 +143,12 @@ fn from_a_dataset_on_disk_to_checked_samples_and_pictures() {
     );
 }
 
+/// The lines of a shown config without the origins of the values.
+fn values(shown: &str) -> Vec<&str> {
+    let value = |line| str::rsplit_once(line, "  # ").map_or(line, |(value, _)| value);
+    shown.lines().map(value).collect()
+}
+
 #[test]
 fn every_shipped_config_is_valid() {
     let sandbox = sandbox();
@@ -183,12 +189,10 @@ fn every_shipped_config_is_valid() {
         let show = format!("config show {} --set data.source=set", path.display());
         let shown = sandbox.run(&show).succeeded();
         assert!(shown.stdout.starts_with("# model: "), "{}", shown.stdout);
-        // The printed config is valid and equal.
+        // The printed config is valid and equal, but for the origins of its values.
         sandbox.write("shown.toml", &shown.stdout);
-        assert_eq!(
-            sandbox.run("config show shown.toml").succeeded().stdout,
-            shown.stdout
-        );
+        let again = sandbox.run("config show shown.toml").succeeded().stdout;
+        assert_eq!(values(&again), values(&shown.stdout));
         seen += 1;
     }
     assert!(seen >= 2);

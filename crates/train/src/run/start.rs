@@ -18,7 +18,7 @@ use crate::error::Error;
 use crate::memory;
 use crate::observer::Observer;
 use crate::process_group::ProcessGroup;
-use crate::system::Systems;
+use crate::system::{Systems, read_config};
 
 /// The run to train.
 #[derive(Clone, Debug)]
@@ -105,9 +105,11 @@ fn launch(
         }
     };
     let resume = matches!(request.target, Target::Resumed(_));
-    let plain = systems.load(path, &request.overrides)?;
+    // A pipe can be read only once.
+    let (text, origin) = (read_config(path)?, path.display().to_string());
+    let plain = systems.parse(&text, &origin, &request.overrides)?;
     let overrides = &with_environment(&plain, resume);
-    let mut config = systems.load(path, overrides)?;
+    let mut config = systems.parse(&text, &origin, overrides)?;
     if config.run.name.is_empty() {
         let stem = path.file_stem().unwrap_or_default();
         config.run.name = stem.to_string_lossy().into_owned();
@@ -150,7 +152,8 @@ fn resumed(
 ) -> Result<Config, Error> {
     let recipe = format!("[train]\nrecipe = \"{}\"", given.train.recipe);
     let defaults = systems.parse(&recipe, "the defaults", &[])?;
-    let file = file_of(path);
+    let file = read_text(path).ok().and_then(|text| text.parse().ok());
+    let file: Table = file.unwrap_or_default();
     let (table, ignored) = config::resumed(saved, given, &defaults, &file, overrides);
     for config::IgnoredKey { key, saved, given } in ignored {
         let (file, set) = (path.display(), given.trim_matches('"'));
@@ -199,15 +202,17 @@ pub fn load_config(
     environment: &[EnvironmentSetting],
     warn: &mut dyn FnMut(&Error),
 ) -> Result<(Config, Origins), Error> {
+    let (text, origin) = (read_config(path)?, path.display().to_string());
+    let plain = systems.parse(&text, &origin, overrides)?;
     let keys = overrides.iter().filter_map(|set| set.split_once('='));
     let mut origins = Origins {
         overrides: keys.map(|(key, _)| key.trim().to_owned()).collect(),
-        environment: systems.used(environment, &systems.load(path, overrides)?),
-        file: file_of(path),
+        environment: systems.used(environment, &plain),
+        file: text.parse().unwrap_or_default(),
         inherited: Table::new(),
     };
     let overrides = &with(&origins.environment, overrides);
-    let config = systems.load(path, overrides)?;
+    let config = systems.parse(&text, &origin, overrides)?;
     let (system, _) = systems.of(&config)?;
     let config = match system.inherited(&config, None) {
         Ok(Some(beneath)) => {
@@ -222,12 +227,6 @@ pub fn load_config(
         }
     };
     Ok((config, origins))
-}
-
-/// The keys of a config file that has been read before.
-fn file_of(path: &Path) -> Table {
-    let file = read_text(path).ok().and_then(|text| text.parse().ok());
-    file.unwrap_or_default()
 }
 
 /// The config beside the checkpoints of the run in `folder`, if the file exists.

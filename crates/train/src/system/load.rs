@@ -334,7 +334,8 @@ fn forget_sampler(table: &mut Table, overrides: &[String]) {
     }
 }
 
-fn read(path: &Path) -> Result<String, ConfigError> {
+/// The text of the config at `path`.
+pub(crate) fn read(path: &Path) -> Result<String, ConfigError> {
     log::debug!("reading {}", path.display());
     read_text(path).map_err(|source| ConfigError::Read {
         path: path.to_path_buf(),

@@ -7,7 +7,7 @@ mod load;
 mod sample;
 
 pub use keys::{ConfigKey, toml_text};
-pub(crate) use load::longer_warmup;
+pub(crate) use load::{longer_warmup, read as read_config};
 
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
