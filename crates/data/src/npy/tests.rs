@@ -185,7 +185,8 @@ fn every_spelling_of_a_header_that_python_reads_is_read() {
         ),
     ] {
         let header = read(dictionary).unwrap();
-        assert_eq!(header.double, double, "{dictionary}");
+        let is_double = matches!(header.dtype, header::Dtype::Double);
+        assert_eq!(is_double, double, "{dictionary}");
         assert_eq!(header.fortran_order, fortran_order, "{dictionary}");
         assert_eq!(header.shape, shape, "{dictionary}");
         assert_eq!(header.length, shape.iter().product::<usize>() as u64);
