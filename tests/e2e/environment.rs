@@ -30,7 +30,7 @@ fn each_value_is_shown_with_its_origin() {
     for line in [
         "# runs folder: elsewhere  # environment, KINEGRAD_RUNS_DIR",
         "device = \"auto\"  # environment, KINEGRAD_DEVICE",
-        "warmup_steps = 9  # --set",
+        "warmup_steps = 9  # command line",
         "target_frames = 24  # file",
         "patience = 0  # default",
     ] {
@@ -44,7 +44,7 @@ fn each_value_is_shown_with_its_origin() {
     let set = format!("{show} --set run.device=cpu --set data.kind=phrases");
     let shown = run(&sandbox, &variables, &set).succeeded().stdout;
     for line in [
-        "device = \"cpu\"  # --set",
+        "device = \"cpu\"  # command line",
         "source = \"there\"  # environment, KINEGRAD_DATA_SOURCE",
     ] {
         assert!(shown.lines().any(|found| found == line), "{line}\n{shown}");

@@ -357,7 +357,7 @@ fn what_cannot_be_warped_is_refused_and_nothing_is_written() {
         ("results.npy --path line.toml", "[5, 2, 3]"),
         (
             "results.npy --index 2 --path line.toml",
-            "`index 2`, and results.npy has 2 motions",
+            "`--index 2`, and results.npy has 2 motions",
         ),
         (
             "walk.features.npy --index 1 --path line.toml",

@@ -1,7 +1,7 @@
 //! Locks the feet of a new motion where the feet of its examples rest.
 
 use kinegrad_capture::{Bvh, RootPose};
-use kinegrad_motion::feet::{Leg, STEP_SECONDS, Standing, lock, without_short_runs};
+use kinegrad_motion::feet::{FIRM, Leg, STEP_SECONDS, Standing, lock, without_short_runs};
 use kinegrad_motion::vector::{length, minus};
 
 use crate::motion_matrix::thinning;
@@ -71,6 +71,7 @@ pub(crate) fn lock_feet(
         contacts: &contacts,
         steps: &legs.iter().map(rising).collect::<Vec<_>>(),
         fade: STEP_SECONDS / layout.frame_time(),
+        firmness: FIRM,
         up,
     };
     let locked = lock(&places, &parents, &legs, &standing);

@@ -7,9 +7,6 @@ use super::runs;
 use crate::banded::Cholesky;
 use crate::vector::{length, minus, plus};
 
-/// Weight of a step in contact against the squared third difference of the correction.
-const CONTACT: f64 = 1e5;
-
 /// Weight of a contact's mean correction: feet stand around where they were.
 const SIZE: f64 = 0.3;
 
@@ -28,6 +25,8 @@ pub(super) struct Foot<'a, F: Fn(usize, [f64; 3]) -> [f64; 3]> {
     pub unwanted: Vec<[f64; 3]>,
     /// True in contact, `[frames]`.
     pub contacts: &'a [bool],
+    /// Weight of a step in contact against the squared third difference of the correction.
+    pub firmness: f64,
     /// The nearest correction within the leg's reach in a frame.
     pub reachable: F,
 }
@@ -97,11 +96,11 @@ impl<F: Fn(usize, [f64; 3]) -> [f64; 3]> Foot<'_, F> {
         }
         for (t, unwanted) in self.unwanted.iter().enumerate() {
             if self.contacts[t] && self.contacts[t + 1] {
-                matrix[t][0] += CONTACT;
-                matrix[t + 1][0] += CONTACT;
-                matrix[t + 1][1] -= CONTACT;
-                right[t] = plus(right[t], unwanted.map(|value| CONTACT * value));
-                right[t + 1] = minus(right[t + 1], unwanted.map(|value| CONTACT * value));
+                matrix[t][0] += self.firmness;
+                matrix[t + 1][0] += self.firmness;
+                matrix[t + 1][1] -= self.firmness;
+                right[t] = plus(right[t], unwanted.map(|value| self.firmness * value));
+                right[t + 1] = minus(right[t + 1], unwanted.map(|value| self.firmness * value));
             }
         }
         let factor = Cholesky::new(matrix);

@@ -1,6 +1,6 @@
 //! The feet of a skeleton's joints.
 
-use super::{ContactRule, Leg, Standing, lock, sliding};
+use super::{ContactRule, FIRM, Leg, SLIPPING, Standing, lock, sliding};
 use crate::humanml::{FeatureError, Joints, Skeleton};
 use crate::metrics::SKATING_SPEED;
 use crate::vector::minus;
@@ -57,9 +57,9 @@ pub fn lock_joints(
     let contacts: Vec<Vec<bool>> = (legs.iter())
         .map(|leg| rule.contacts(&seen.track(leg.sole), fps, floor))
         .collect();
-    let quick = match planted {
-        Planted::Still => rule.lasting * rule.speed,
-        Planted::AsSeen => SKATING_SPEED,
+    let (quick, firmness) = match planted {
+        Planted::Still => (rule.lasting * rule.speed, FIRM),
+        Planted::AsSeen => (SKATING_SPEED, SLIPPING),
     };
     // A step of the source, turned as the body is and without slow sliding.
     let step = |sole: usize, t: usize| {
@@ -77,6 +77,7 @@ pub fn lock_joints(
         contacts: &contacts,
         steps: &legs.iter().map(of_leg).collect::<Vec<_>>(),
         fade: STEP_SECONDS * fps,
+        firmness,
         up: 1,
     };
     let frames = (0..joints.frames()).map(|t| joints.frame(t).to_vec());

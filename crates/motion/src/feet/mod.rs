@@ -98,6 +98,12 @@ pub struct Turns {
     pub knee: Quaternion,
 }
 
+/// Weight of contacts in which feet stand still.
+pub const FIRM: f64 = 1e5;
+
+/// Weight of contacts on paths that ask for longer steps than legs have: feet slip instead of snapping.
+const SLIPPING: f64 = 1e3;
+
 /// What feet do in contact.
 #[derive(Clone, Copy, Debug)]
 pub struct Standing<'a> {
@@ -107,6 +113,8 @@ pub struct Standing<'a> {
     pub steps: &'a [Vec<[f64; 3]>],
     /// Frames over which a correction fades where no contact follows.
     pub fade: f64,
+    /// Weight of the steps against the smoothness of the correction: [`FIRM`] if feet stand still.
+    pub firmness: f64,
     /// The axis of heights.
     pub up: usize,
 }
@@ -145,6 +153,7 @@ pub fn lock(
                 .map(|(made, wanted)| minus(made, *wanted))
                 .collect(),
             contacts,
+            firmness: standing.firmness,
             reachable: |t: usize, by| leg.reachable(&positions[t], by, standing.up),
         };
         let by = foot.corrections(standing.fade);

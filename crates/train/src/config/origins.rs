@@ -38,7 +38,7 @@ pub enum Origin {
 impl fmt::Display for Origin {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::CommandLine => f.write_str("--set"),
+            Self::CommandLine => f.write_str("command line"),
             Self::Environment(variable) => write!(f, "environment, {variable}"),
             Self::File => f.write_str("file"),
             Self::Inherited => f.write_str("initial checkpoint"),
