@@ -92,7 +92,7 @@ impl<'a> Machine<'a> {
             0x95 => drop(self.take(8)?),
             b'(' => self.marks.push(self.stack.len()),
             b'0' => drop(self.pop()?),
-            b'1' => drop(self.to_mark()?),
+            b'1' => drop(self.above_mark()?),
             b'2' => {
                 let top = self.top()?;
                 self.stack.push(top);
@@ -121,15 +121,15 @@ impl<'a> Machine<'a> {
             b']' => self.push(Value::List(Vec::new())),
             b'}' => self.push(Value::Dict(Vec::new())),
             b't' => {
-                let items = self.to_mark()?;
+                let items = self.above_mark()?;
                 self.push(Value::Tuple(items));
             }
             b'l' => {
-                let items = self.to_mark()?;
+                let items = self.above_mark()?;
                 self.push(Value::List(items));
             }
             b'd' => {
-                let items = pairs(&self.to_mark()?)?;
+                let items = pairs(&self.above_mark()?)?;
                 self.push(Value::Dict(items));
             }
             0x85..=0x87 => self.tuple_of(usize::from(code - 0x84))?,
@@ -138,7 +138,7 @@ impl<'a> Machine<'a> {
                 self.append(&[item])?;
             }
             b'e' => {
-                let items = self.to_mark()?;
+                let items = self.above_mark()?;
                 self.append(&items)?;
             }
             b's' => {
@@ -147,7 +147,7 @@ impl<'a> Machine<'a> {
                 self.set(&[[key, value]])?;
             }
             b'u' => {
-                let items = pairs(&self.to_mark()?)?;
+                let items = pairs(&self.above_mark()?)?;
                 self.set(&items)?;
             }
             b'q' => self.remember::<1>()?,
@@ -240,7 +240,7 @@ impl<'a> Machine<'a> {
     }
 
     /// Removes the values above the last mark, and the mark.
-    fn to_mark(&mut self) -> Result<Vec<Place>, String> {
+    fn above_mark(&mut self) -> Result<Vec<Place>, String> {
         let mark = self.marks.pop().ok_or("no mark")?;
         Ok(self.stack.split_off(mark))
     }

@@ -145,8 +145,8 @@ mod tests {
                 .unwrap(),
         };
         for (key, expected) in [
-            ("run.device", "--set"),
-            ("ema.decay", "--set"),
+            ("run.device", "command line"),
+            ("ema.decay", "command line"),
             ("data.source", "environment, KINEGRAD_DATA_SOURCE"),
             ("run.seed", "file"),
             ("optim.betas", "file"),
