@@ -307,7 +307,7 @@ fn tokens_in_other_places_and_guidance_over_the_path_change_the_motion() {
     sandbox.run(&format!("{base} plain")).succeeded();
     let mut found = Vec::new();
     for tokens in ["added", "concatenated", "rows"] {
-        // An adapter with other tokens, from a network without a path, goes on as it stopped.
+        // An adapter with other tokens, on a network without a path, resumes bit-exactly.
         let line = format!(
             "train c.toml --name {tokens} --set train.recipe=path_adapter --set \
              init.diffusion=runs/plain --set model.path_tokens={tokens} --set ema.update_every=1 \

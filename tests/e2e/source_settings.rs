@@ -1,4 +1,4 @@
-//! Settings of CC-MotionGen's configuration: each changes what it should, and nothing else.
+//! Settings of CC-MotionGen's configuration: each changes the output that it names, and no other.
 
 use std::fs;
 use std::path::Path;

@@ -47,7 +47,7 @@ pub fn run(systems: Systems<'_>, arguments: PlotArguments) -> Result<ExitCode, E
                 file.display(),
                 folder.display()
             ),
-            "thresholds are drawn with a motion file",
+            "thresholds belong to the plot of a motion: give a motion file, or leave them out",
         ));
     }
     let panels = match (&inputs[..], goal, folder) {

@@ -186,7 +186,7 @@ impl<'a> Machine<'a> {
                 let object = self.top()?;
                 match &mut self.values[object] {
                     Value::Object { state, .. } => *state = Some(given),
-                    _ => return Err("a state of a value that is no object".to_owned()),
+                    _ => return Err("a state for a value that is not an object".to_owned()),
                 }
             }
             _ => {
@@ -304,7 +304,7 @@ impl<'a> Machine<'a> {
             Value::List(all) => all.extend(items),
             // Lists of other types, such as subclasses.
             Value::Object { .. } => {}
-            _ => return Err("an item of a value that is no list".to_owned()),
+            _ => return Err("items for a value that is not a list".to_owned()),
         }
         Ok(())
     }
@@ -314,7 +314,7 @@ impl<'a> Machine<'a> {
         match &mut self.values[dict] {
             Value::Dict(all) => all.extend(items),
             Value::Object { .. } => {}
-            _ => return Err("an entry of a value that is no dictionary".to_owned()),
+            _ => return Err("entries for a value that is not a dictionary".to_owned()),
         }
         Ok(())
     }

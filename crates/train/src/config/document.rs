@@ -56,8 +56,8 @@ pub(crate) fn from_table<T: DeserializeOwned>(
     Ok(kinegrad_settings::from_table(table, place, help, &beside)?)
 }
 
-/// Sets one dotted key and removes its alternative; a value that is not TOML is taken as text, so that `run.device=cpu` needs
-/// no quotes in a shell.
+/// Sets one dotted key and removes its alternative. A value that is not TOML is taken as text, so that
+/// `run.device=cpu` needs no quotes in a shell.
 pub(crate) fn apply(table: &mut Table, argument: &str) -> Result<(), ConfigError> {
     let wrong = || ConfigError::Override {
         argument: argument.to_string(),
