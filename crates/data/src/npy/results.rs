@@ -120,33 +120,57 @@ enum Data<'p, 'a> {
 const MULTIARRAY: [&str; 2] = ["numpy.core.multiarray", "numpy._core.multiarray"];
 const NUMERIC: [&str; 2] = ["numpy.core.numeric", "numpy._core.numeric"];
 
+/// An object as the call that makes it.
+struct Call<'a> {
+    module: &'a str,
+    name: &'a str,
+    arguments: Place,
+    state: Option<Place>,
+}
+
 impl<'a> Pickle<'a> {
-    fn ndarray<'p>(&'p self, place: Place) -> Result<Pickled<'p, 'a>, String> {
-        let not_array = || "not an array of NumPy".to_owned();
+    /// The call of a named callable that makes the object at `place`.
+    fn call(&self, place: Place) -> Option<Call<'a>> {
         let Value::Object {
             callable,
             arguments,
             state,
         } = self.at(place)
         else {
-            return Err(not_array());
+            return None;
         };
         let Value::Global(module, name) = self.at(*callable) else {
-            return Err(not_array());
+            return None;
         };
+        Some(Call {
+            module,
+            name,
+            arguments: *arguments,
+            state: *state,
+        })
+    }
+
+    fn ndarray<'p>(&'p self, place: Place) -> Result<Pickled<'p, 'a>, String> {
+        let not_array = || "not an array of NumPy".to_owned();
+        let Call {
+            module,
+            name,
+            arguments,
+            state,
+        } = self.call(place).ok_or_else(not_array)?;
         let tuple = |place: Option<&Place>| match place.map(|place| self.at(*place)) {
             Some(Value::Tuple(items)) => Ok(items.as_slice()),
             _ => Err(not_array()),
         };
         let (shape, dtype, fortran_order, data) =
-            if *name == "_reconstruct" && MULTIARRAY.contains(module) {
+            if name == "_reconstruct" && MULTIARRAY.contains(&module) {
                 let [_, shape, dtype, order, data] = tuple(state.as_ref())? else {
                     return Err(not_array());
                 };
                 let fortran_order = matches!(self.at(*order), Value::Bool(true));
                 (shape, dtype, fortran_order, data)
-            } else if *name == "_frombuffer" && NUMERIC.contains(module) {
-                let [data, dtype, shape, order] = tuple(Some(arguments))? else {
+            } else if name == "_frombuffer" && NUMERIC.contains(&module) {
+                let [data, dtype, shape, order] = tuple(Some(&arguments))? else {
                     return Err(not_array());
                 };
                 let fortran_order = matches!(self.at(*order), Value::Text("F"));
@@ -177,22 +201,17 @@ impl<'a> Pickle<'a> {
     /// The type's letter and its size, such as `f4`; big-endian types are refused.
     fn dtype(&self, place: Place) -> Result<&'a str, String> {
         let unknown = || "an unknown dtype".to_owned();
-        let Value::Object {
-            callable,
-            arguments,
-            state,
-        } = self.at(place)
-        else {
+        let call = self.call(place).ok_or_else(unknown)?;
+        let Value::Tuple(arguments) = self.at(call.arguments) else {
             return Err(unknown());
         };
-        let is_dtype = matches!(self.at(*callable), Value::Global("numpy", "dtype"));
-        let (true, Value::Tuple(arguments)) = (is_dtype, self.at(*arguments)) else {
+        if (call.module, call.name) != ("numpy", "dtype") {
             return Err(unknown());
-        };
+        }
         let Some(Value::Text(name)) = arguments.first().map(|name| self.at(*name)) else {
             return Err(unknown());
         };
-        let order = match state.map(|state| self.at(state)) {
+        let order = match call.state.map(|state| self.at(state)) {
             Some(Value::Tuple(state)) => state.get(1).map(|order| self.at(*order)),
             _ => None,
         };
