@@ -288,3 +288,36 @@ fn batch_norm_resumes_to_the_same_bytes_and_samples_with_its_running_statistics(
     );
     sandbox.run(&same).succeeded();
 }
+
+#[test]
+fn products_of_a_sample_have_the_precision_of_the_config() {
+    let sandbox = sandbox();
+    sandbox
+        .run("train c.toml --set train.max_steps=2 --set optim.warmup_steps=1")
+        .succeeded();
+    let sample = |out: &str, settings: &str| {
+        let command = format!("sample runs/smallest --out {out} --steps 3 {settings}");
+        sandbox.run(&command).succeeded();
+        let record: Value =
+            serde_json::from_slice(&bytes(&sandbox, format!("{out}.json"))).expect("JSON");
+        let motion = bytes(&sandbox, format!("{out}.raw.npy"));
+        (record["sampler"]["precision"].clone(), motion)
+    };
+    let (wide, motion) = sample("wide", "");
+    let (narrow, other) = sample("narrow", "--set sampling.precision=bf16");
+    assert_eq!((wide, narrow), ("float32".into(), "bf16".into()));
+    let numbers = |file: &[u8]| -> Vec<f32> {
+        let values = file[128..].chunks_exact(4);
+        values
+            .map(|bytes| f32::from_le_bytes(bytes.try_into().expect("four bytes")))
+            .collect()
+    };
+    let (motion, other) = (numbers(&motion), numbers(&other));
+    let differences = motion.iter().zip(&other).map(|(a, b)| (a - b).abs());
+    let difference = differences.fold(0.0, f32::max);
+    let largest = motion.iter().fold(0.0_f32, |most, x| most.max(x.abs()));
+    assert!(
+        difference > 1e-6 * largest && difference < 0.1 * largest,
+        "{difference} of {largest}"
+    );
+}

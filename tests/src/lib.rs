@@ -2,6 +2,7 @@
 
 pub mod captures;
 pub mod decoder;
+pub mod devices;
 pub mod end_to_end;
 pub mod gmd;
 pub mod golden;

@@ -1,6 +1,8 @@
-//! The tiny UNet, forward and backward, on every backend of this build except Flex. wgpu has its
-//! own package, `tests/wgpu`.
+//! The tiny UNet, forward and backward, and a training of each system, on every backend of this build
+//! except Flex. wgpu has its own package, `tests/wgpu`.
 
+#[cfg(any(feature = "ndarray", feature = "cuda"))]
+use kinegrad_tests::devices::assert_systems_run;
 use kinegrad_tests::parity::{assert_optimizer_parity, assert_parity};
 
 #[test]
@@ -19,8 +21,20 @@ fn ndarray_agrees_with_flex() {
     assert_parity("ndarray");
 }
 
+#[cfg(feature = "ndarray")]
+#[test]
+fn each_system_trains_resumes_and_samples_on_ndarray() {
+    assert_systems_run("ndarray");
+}
+
 #[cfg(feature = "cuda")]
 #[test]
 fn cuda_agrees_with_flex() {
     assert_parity("cuda");
+}
+
+#[cfg(feature = "cuda")]
+#[test]
+fn each_system_trains_resumes_and_samples_on_cuda() {
+    assert_systems_run("cuda");
 }

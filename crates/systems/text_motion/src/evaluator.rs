@@ -2,6 +2,7 @@
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use kinegrad_data::humanml::read_word_vectors;
+use kinegrad_kernels::Precision;
 use kinegrad_models::Initializer;
 use kinegrad_motion::Statistics;
 use kinegrad_motion::humanml::{FeatureError, FeatureLayout, Features, Root};
@@ -192,7 +193,8 @@ fn in_groups(
     let mut embeddings = vec![Vec::new(); lengths.len()];
     for group in alike.flat_map(|alike| alike.chunks(GROUP)) {
         let lengths: Vec<usize> = group.iter().map(|&item| lengths[item]).collect();
-        let found = encode(group, &lengths, padded(group[0]));
+        // Measures do not depend on the precision of the samples.
+        let found = Precision::Float32.scope(|| encode(group, &lengths, padded(group[0])));
         let width = found.dims()[1];
         let values = found.try_into_vec_as::<f32>().expect("float32");
         for (&item, row) in group.iter().zip(values.chunks_exact(width)) {

@@ -33,8 +33,8 @@ pub(crate) use resumed::{IgnoredKey, resumed};
 pub use system_tables::{OwnTables, SystemTables};
 pub(crate) use tables::validate;
 pub use tables::{
-    CheckpointConfig, ClipSample, EmaConfig, LrSchedule, OptimConfig, OptimPlace, RunConfig,
-    SamplingConfig, SelectBy, TrainConfig, TrainPrecision, ValidationConfig, WeightDecayGroups,
+    CheckpointConfig, ClipSample, EmaConfig, LrSchedule, OptimConfig, OptimPlace, ProductPrecision,
+    RunConfig, SamplingConfig, SelectBy, TrainConfig, ValidationConfig, WeightDecayGroups,
 };
 
 pub use kinegrad_settings::Place;

@@ -124,10 +124,10 @@ impl Default for OptimConfig {
     }
 }
 
-/// The precision of a training step's products.
+/// The precision of the networks' matrix products.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum TrainPrecision {
+pub enum ProductPrecision {
     /// 32 bits.
     #[default]
     Float32,
@@ -136,7 +136,7 @@ pub enum TrainPrecision {
     Bf16,
 }
 
-impl TrainPrecision {
+impl ProductPrecision {
     /// The precision as the kernels name it.
     pub fn of_products(self) -> Precision {
         match self {
@@ -163,9 +163,9 @@ pub struct TrainConfig {
     /// Number of batches whose gradients are averaged for one step, weighted by valid frames. The
     /// batches together act as one large batch.
     pub gradient_accumulation_steps: u64,
-    /// The precision of a step's products; weights, losses, the optimizer, validation and samples
-    /// stay in float32.
-    pub precision: TrainPrecision,
+    /// The precision of a step's products; weights, losses, the optimizer and validation stay in
+    /// float32.
+    pub precision: ProductPrecision,
     /// Gradients are clipped to this global norm; 0 disables clipping.
     pub max_grad_norm: f64,
     /// Steps between metrics.
@@ -182,7 +182,7 @@ impl Default for TrainConfig {
             max_steps: None,
             epochs: None,
             gradient_accumulation_steps: 1,
-            precision: TrainPrecision::default(),
+            precision: ProductPrecision::default(),
             max_grad_norm: 1.0,
             log_every_steps: 1,
             patience: 0,
@@ -387,6 +387,9 @@ pub struct SamplingConfig {
     /// The bound of `clip = "symmetric"`, in standard deviations; only with it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub clip_range: Option<f64>,
+    /// The precision of the sampled networks' products; the sampler, post-processing, measures and
+    /// evaluators stay in float32.
+    pub precision: ProductPrecision,
     /// The sampler.
     pub sampler: SamplerConfig,
 }

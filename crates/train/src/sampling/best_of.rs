@@ -235,7 +235,7 @@ mod tests {
 
     use super::super::{MeasureRecord, MeasuresRecord, SamplerRecord};
     use super::*;
-    use crate::config::ClipSample;
+    use crate::config::{ClipSample, ProductPrecision};
 
     fn record(failed: usize, skating: f64) -> Record {
         let measure = MeasureRecord {
@@ -254,6 +254,7 @@ mod tests {
                 settings: SamplerConfig::default(),
                 clip: ClipSample::default(),
                 clip_range: None,
+                precision: ProductPrecision::default(),
                 padding: None,
                 steering: None,
             })

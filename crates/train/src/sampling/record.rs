@@ -12,7 +12,7 @@ use serde_json::Value;
 use super::{Condition, GroundRecord, MeasuresRecord, SelectionRecord, condition};
 use crate::TrainedModel;
 use crate::checkpoint::Weights;
-use crate::config::ClipSample;
+use crate::config::{ClipSample, ProductPrecision};
 
 /// The record of a sample, which reproduces it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -176,6 +176,9 @@ pub struct SamplerRecord {
     /// The bound of `clip = "symmetric"`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clip_range: Option<f64>,
+    /// The precision of the networks' products.
+    #[serde(default)]
+    pub precision: ProductPrecision,
     /// The padding of a clip; only for clips of Guided Motion Diffusion.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub padding: Option<Value>,
@@ -201,6 +204,7 @@ impl Record {
                 settings: config.sampling.sampler.clone(),
                 clip: config.sampling.clip,
                 clip_range: config.sampling.clip_range,
+                precision: config.sampling.precision,
                 padding: None,
                 steering: None,
             })

@@ -41,7 +41,8 @@ impl Systems<'_> {
         let seed = request.seed;
         let report = evaluation.report;
         let evaluate = Box::new(move |on_step: &mut OnStep<'_>| {
-            let results = (evaluation.measure)(on_step)?;
+            let precision = trained.config().sampling.precision.of_products();
+            let results = precision.scope(|| (evaluation.measure)(on_step))?;
             let run = &trained.config().run.name;
             let (mut json, mut facts) = (results.json, results.facts);
             json["run"] = run.as_str().into();

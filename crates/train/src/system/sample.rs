@@ -70,7 +70,8 @@ impl Systems<'_> {
             paths: Vec::new(),
             bodies: Vec::new(),
         };
-        let summary = sampler.sample(&mut run)?;
+        let precision = trained.config().sampling.precision.of_products();
+        let summary = precision.scope(|| sampler.sample(&mut run))?;
         if let Some(line) = MeasuresRecord::line(&run.bodies) {
             run.sink
                 .note(&format!("{}: {line}", counted(run.bodies.len(), "sample")));
