@@ -409,6 +409,15 @@ fn runs_are_plotted_and_reported_together() {
     // Each chart names both runs.
     assert!(named("one") >= 3 && named("one") == named("two"));
     holds(&both, &["validation loss", "gradient norm"]);
+    // Runs of one name are told apart by their folders.
+    fs::create_dir(sandbox.path("kept")).expect("a folder");
+    fs::rename(sandbox.path("runs/two"), sandbox.path("kept/one")).expect("renamed");
+    sandbox
+        .run("plot runs/one kept/one --out equal.svg")
+        .succeeded();
+    let equal = fs::read_to_string(sandbox.path("equal.svg")).expect("a picture");
+    holds(&equal, &["\nruns/one\n", "\nkept/one\n"]);
+    fs::rename(sandbox.path("kept/one"), sandbox.path("runs/two")).expect("renamed");
     // The loss has a single term, which equals it.
     assert!(!both.contains("loss_"));
     let page = page(&sandbox, "runs/one runs/two", "runs/comparison.html");

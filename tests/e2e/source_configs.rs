@@ -40,8 +40,15 @@ fn configs_of_the_sources_train() {
         base.display()
     );
     sandbox.run(&base).succeeded();
+    let guided = "--set model.latent_dim=16 --set model.dim_mults=[1.0,1.0] \
+                  --set model.padded_frames=20";
+    for name in ["gmd_motion", "gmd_trajectory"] {
+        // Captions have no embeddings here.
+        let text = "--set data.humanml3d.text=labels";
+        train(name, &format!("{CLIPS} {guided} {text}"));
+    }
     train("flowmdm_path", &format!("{CLIPS} {TRANSFORMER}"));
     let configs = fs::read_dir(folder).expect("a folder").flatten();
     let configs = configs.filter(|file| file.path().extension().is_some_and(|end| end == "toml"));
-    assert_eq!(configs.count(), 5, "each config is trained above");
+    assert_eq!(configs.count(), 7, "each config is trained above");
 }

@@ -69,6 +69,23 @@ def test_checks_are_those_of_the_command_line(phrases, command, tmp_path):
         kinegrad.check(sample.motion, "loose")
 
 
+def test_phrases_are_processed_as_samples_are(phrases):
+    (sample,) = phrases.sample(progress=False)
+    for profile in ["ccmotion", "none"]:
+        (other,) = phrases.sample(postprocess=profile, progress=False)
+        assert np.array_equal(kinegrad.postprocess(sample.raw, profile, phrases.path), other.motion)
+    smooth = kinegrad.postprocess(sample.raw, "none", settings={"apply_smoothing": True})
+    raw = kinegrad.postprocess(sample.raw, "none")
+    assert np.abs(np.diff(smooth[:, :3], 3, axis=0)).mean() < np.abs(
+        np.diff(raw[:, :3], 3, axis=0)
+    ).mean()
+    for settings in [{"smooth": True}, {"smoothing_kernel_size": 2}]:
+        with pytest.raises(kinegrad.UsageError, match="smooth"):
+            kinegrad.postprocess(sample.raw, settings=settings)
+    with pytest.raises(kinegrad.UsageError, match="25"):
+        kinegrad.postprocess(np.zeros((4, 22, 3)))
+
+
 def test_metrics_of_bodies():
     time = np.arange(6)[:, None] / 4
     moving = np.concatenate([time**3, np.ones_like(time), 0 * time], axis=1)

@@ -190,6 +190,11 @@ def test_evaluation(command, phrases, tmp_path):
     (expected,) = json.loads(text)["evaluations"]
     assert phrases.evaluate(settings=settings, progress=False) == expected
     assert phrases.evaluate(settings=settings, seed=1, progress=False) != expected
+    text = command("eval", phrases.path, "--num-samples", "3", "--num-frames", "16", "--json")
+    (expected,) = json.loads(text)["evaluations"]
+    assert phrases.evaluate(num_samples=3, num_frames=16, progress=False) == expected
+    with pytest.raises(kinegrad.Error, match="nowhere"):
+        phrases.evaluate(songs=tmp_path / "nowhere", progress=False)
 
 
 def test_training(runs, phrases, tmp_path, capfd):

@@ -24,8 +24,8 @@ pub struct ConditionArguments {
     /// PATH-ID.npy
     #[arg(long, value_name = "ID", conflicts_with = "audio_features")]
     pub item: Option<String>,
-    /// Audio features as the condition
-    #[arg(long, value_name = "FILE.npz", conflicts_with = "source")]
+    /// Audio features as the condition: `features.npz`, or an array `[163, frames]`
+    #[arg(long, value_name = "FILE", conflicts_with = "source")]
     pub audio_features: Option<PathBuf>,
     /// Song (mp3, wav, flac, ogg) as the condition
     #[arg(long, value_name = "SONG", conflicts_with_all = ["source", "item", "audio_features"])]

@@ -1,5 +1,6 @@
 //! Search for run folders, and their state and progress.
 
+use std::collections::HashSet;
 use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::{Read, Seek, SeekFrom};
@@ -276,6 +277,18 @@ pub fn folder_name(folder: &Path) -> String {
     let folder = folder.canonicalize().unwrap_or_else(|_| folder.into());
     let name = folder.file_name().unwrap_or(folder.as_os_str());
     name.to_string_lossy().into_owned()
+}
+
+/// The `names` of the runs in `folders` or, if two are equal, the folders.
+pub fn labels(names: Vec<String>, folders: &[PathBuf]) -> Vec<String> {
+    let distinct: HashSet<&String> = names.iter().collect();
+    match distinct.len() == names.len() {
+        true => names,
+        false => folders
+            .iter()
+            .map(|path| path.display().to_string())
+            .collect(),
+    }
 }
 
 /// The runs in a folder and below by path, including the folder itself and stages.

@@ -90,6 +90,11 @@ pub(crate) fn array_bytes(shape: &[usize], values: &[f32]) -> Vec<u8> {
     bytes
 }
 
+/// True for the bytes of a `.npy` file.
+pub(crate) fn is_array(bytes: &[u8]) -> bool {
+    bytes.starts_with(header::MAGIC)
+}
+
 /// Parses the bytes of a `.npy` file; `file` names the file in errors. Fails with [`FileError`] if
 /// the bytes are not an array of float32 or float64 numbers.
 pub fn parse(bytes: &[u8], file: &str) -> Result<Array, FileError> {

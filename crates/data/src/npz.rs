@@ -23,7 +23,7 @@ const METHOD: CompressionMethod = CompressionMethod::Stored;
 const MOST_UNPACKED: usize = 1032;
 
 /// Parses the bytes of a `features.npz` and stacks the arrays to `[channels, frames]` of `layout`
-/// (CC-MotionGen, section 4.3). Other members are ignored; `file` names the file in errors. Fails
+/// (CC-MotionGen, section 4.3), or a `.npy` array that is stacked already. Other members are ignored; `file` names the file in errors. Fails
 /// with [`FileError`] for an unreadable or truncated archive, a missing member, another dtype or
 /// shape, and members of unequal length. Accepts values that are not finite (see
 /// [`crate::load_audio`]).
@@ -32,6 +32,9 @@ pub fn parse_features(
     file: &str,
     layout: AudioLayout,
 ) -> Result<AudioFeatures, FileError> {
+    if npy::is_array(bytes) {
+        return stacked(bytes, file, layout);
+    }
     let mut archive = Archive::new(bytes, file)?;
     let mut frames = None;
     let mut values = Vec::new();
@@ -52,6 +55,24 @@ pub fn parse_features(
     debug_assert_eq!(values.len(), layout.channels() * frames);
     let features = AudioFeatures::new(frames, values);
     Ok(features.unwrap_or_else(|| AudioFeatures::silence(layout, frames)))
+}
+
+/// Parses an array `[channels, frames]` or `[1, channels, frames]`.
+fn stacked(bytes: &[u8], file: &str, layout: AudioLayout) -> Result<AudioFeatures, FileError> {
+    let array = npy::parse(bytes, file)?;
+    let channels = layout.channels();
+    match array.shape[..] {
+        [rows, frames] | [1, rows, frames]
+            if rows == channels && (1..=MAX_FRAMES).contains(&frames) =>
+        {
+            let features = AudioFeatures::new(frames, array.values);
+            Ok(features.unwrap_or_else(|| AudioFeatures::silence(layout, frames)))
+        }
+        _ => {
+            let allowed = format!("[{channels}, frames], up to {MAX_FRAMES} frames");
+            Err(FileError::shape(file, &array.shape, allowed))
+        }
+    }
 }
 
 /// Parses the named arrays of an archive, each `[frames, width]` with the same length. Fails with

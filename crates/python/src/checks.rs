@@ -1,15 +1,19 @@
-//! Sanity checks of motion.
+//! Sanity checks and post-processing of motion.
 
 use std::path::{Path, PathBuf};
 
 use kinegrad_cli::checkpoint;
-use kinegrad_motion::{CHANNELS, Phrase, Profile, SanityThresholds, check_thresholds};
+use kinegrad_motion::postprocess::{PostProcessConfig, process};
+use kinegrad_motion::{
+    CHANNELS, Phrase, PostProcessProfile, Profile, SanityThresholds, check_thresholds,
+};
 use kinegrad_systems::BUILT_IN;
 use kinegrad_train::Error;
-use numpy::PyReadonlyArrayDyn;
+use numpy::{PyArrayDyn, PyReadonlyArrayDyn};
 use pyo3::prelude::*;
+use serde_json::{Map, Value};
 
-use crate::arrays::shape_and_values;
+use crate::arrays::{array, shape_and_values};
 use crate::calls::{call, json};
 use crate::errors::named;
 
@@ -51,4 +55,56 @@ pub fn check(
         let report = representation.check(&values, profile, statistics.as_ref());
         Ok(json(&report))
     })
+}
+
+/// The phrase `motion` after post-processing by a profile, of which `settings` as JSON replace keys,
+/// with the training statistics of `run`.
+#[pyfunction]
+pub fn postprocess<'py>(
+    py: Python<'py>,
+    motion: PyReadonlyArrayDyn<'_, f32>,
+    profile: &str,
+    settings: &str,
+    run: Option<PathBuf>,
+) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+    let (shape, values) = shape_and_values(&motion);
+    let processed = call(py, || {
+        let allowed = "\"default\", \"ccmotion\" and \"none\"";
+        let profile: PostProcessProfile = named("the profile", profile, allowed)?;
+        let representation = BUILT_IN.representation_of(Path::new("motion"), &shape, &values)?;
+        if representation.stored_channels() != CHANNELS {
+            return Err(Error::usage(
+                "post-processing of another motion than a phrase",
+                "give an array [T, 25]",
+            ));
+        }
+        let state = run.as_deref().map(|run| Ok(checkpoint(run)?.state));
+        let state = state.transpose()?;
+        let statistics = state.as_ref();
+        let statistics = statistics.map(|state| state.statistics_of(&*representation));
+        let config = changed(profile.into(), settings)?;
+        Ok(process(
+            &Phrase::new(values)?,
+            &config,
+            statistics.transpose()?,
+        ))
+    })?;
+    array(py, &shape, processed.as_slice())
+}
+
+/// `config` with the keys of `settings`.
+fn changed(config: PostProcessConfig, settings: &str) -> Result<PostProcessConfig, Error> {
+    let keys = "docs/config.md lists the keys of `evaluation.postprocess`";
+    let unusable = |error: serde_json::Error| Error::usage(format!("`settings`: {error}"), keys);
+    let mut table = serde_json::to_value(&config).map_err(unusable)?;
+    let given: Map<String, Value> = serde_json::from_str(settings).map_err(unusable)?;
+    for (key, value) in given {
+        match (&mut table[&key], value) {
+            (Value::Object(own), Value::Object(inner)) => own.extend(inner),
+            (own, value) => *own = value,
+        }
+    }
+    let config: PostProcessConfig = serde_json::from_value(table).map_err(unusable)?;
+    config.validate()?;
+    Ok(config)
 }

@@ -27,7 +27,7 @@ mod _kinegrad {
     #[pymodule_export]
     use super::audio::{SongFeatures, audio_features};
     #[pymodule_export]
-    use super::checks::check;
+    use super::checks::{check, postprocess};
     #[pymodule_export]
     use super::command::main;
     #[pymodule_export]

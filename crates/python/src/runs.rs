@@ -56,27 +56,48 @@ impl Model {
     }
 }
 
+/// What a model is evaluated on.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct EvaluateRequest {
+    source: Option<String>,
+    songs: Option<PathBuf>,
+    num_samples: Option<usize>,
+    num_frames: Option<usize>,
+    trajectory_run: Option<PathBuf>,
+    audio_ablation: bool,
+    seed: u64,
+}
+
+impl EvaluateRequest {
+    fn request(&self) -> Result<EvaluationRequest, Error> {
+        let trajectory = self.trajectory_run.as_deref().map(checkpoint);
+        Ok(EvaluationRequest {
+            source: self.source.clone(),
+            songs: self.songs.clone(),
+            num_samples: self.num_samples,
+            num_frames: self.num_frames,
+            trajectory: trajectory.transpose()?,
+            audio_ablation: self.audio_ablation,
+            seed: self.seed,
+            ..EvaluationRequest::default()
+        })
+    }
+}
+
 /// Evaluates a run and returns the report as JSON.
 #[pyfunction]
 pub fn evaluate(
     py: Python<'_>,
     model: Model,
-    source: Option<String>,
-    trajectory_run: Option<PathBuf>,
-    seed: u64,
+    request: EvaluateRequest,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<String> {
     kinegrad_kernels::memory::keep_freed();
     call_with(py, progress, |progress| {
         while_it_is_trained(|| {
             let trained = model.open()?;
-            let request = EvaluationRequest {
-                source: source.clone(),
-                trajectory: trajectory_run.as_deref().map(checkpoint).transpose()?,
-                seed,
-                ..EvaluationRequest::default()
-            };
-            let prepared = BUILT_IN.evaluate(&trained, &request)?;
+            let prepared = BUILT_IN.evaluate(&trained, &request.request()?)?;
             let evaluated =
                 (prepared.evaluate)(&mut |stage, done, all| progress.step(stage, done, all))?;
             Ok(json(&evaluated.json))

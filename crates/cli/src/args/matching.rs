@@ -71,10 +71,11 @@ pub struct MatchArguments {
     #[arg(long = "loop")]
     pub looping: bool,
     /// Match motion relative to the heading, so that walks in different directions match: `relative`
-    /// (without a value), `world`, or `auto`, which is relative if the examples turn around
+    /// (without a value), `world`, or `auto`, which is relative if the examples turn around [default:
+    /// auto; with `--preset` world]
     #[arg(long, value_name = "HEADING", value_parser = named::<Heading>, num_args = 0..=1,
-          require_equals = true, default_value = "auto", default_missing_value = "relative")]
-    pub heading: Heading,
+          require_equals = true, default_missing_value = "relative")]
+    pub heading: Option<Heading>,
     /// Body parts that are matched separately: `whole`, `auto` (trunk and limbs), or a TOML file
     /// [default: from the preset]
     #[arg(long, value_name = "PARTS")]

@@ -19,6 +19,7 @@ use crate::args::EvalArguments;
 use crate::output;
 use crate::progress::Denoising;
 use crate::ranks::{agreed, guarded, process_group};
+use crate::runs::labels;
 use reports::{Reports, Settings};
 
 /// Header of the column of directions, the last one of tables.
@@ -130,7 +131,7 @@ fn evaluate(
         show!("{}", reports::json(&evaluated, &settings));
         return Ok(());
     }
-    let (labels, width) = (labels(runs, &evaluated), output::width());
+    let (labels, width) = (labels(names(&evaluated), runs), output::width());
     for line in summary::verdict(&labels, &evaluated) {
         show!("{}", kinegrad_report::wrapped(&line, width));
     }
@@ -202,16 +203,9 @@ fn run_folder(checkpoint: &Path) -> &Path {
     inside.and_then(Path::parent).unwrap_or(checkpoint)
 }
 
-/// The names of the runs or, if two names are equal, the runs' `paths`.
-fn labels(paths: &[PathBuf], all: &[Evaluated]) -> Vec<String> {
-    let mut names: Vec<&str> = all.iter().map(|each| each.run.as_str()).collect();
-    names.sort_unstable();
-    let by_path = names.windows(2).any(|pair| pair[0] == pair[1]);
-    let labels = paths.iter().zip(all).map(|(path, each)| match by_path {
-        true => path.display().to_string(),
-        false => each.run.clone(),
-    });
-    labels.collect()
+/// The runs' names.
+fn names(all: &[Evaluated]) -> Vec<String> {
+    all.iter().map(|each| each.run.clone()).collect()
 }
 
 /// A column for each run, and a column for real motion.
@@ -222,7 +216,7 @@ fn columns<'a>(paths: &[PathBuf], all: &'a [Evaluated], in_full: bool) -> Vec<Co
         sections: sections(column, in_full),
     };
     let mut columns = Vec::new();
-    for (label, each) in labels(paths, all).into_iter().zip(all) {
+    for (label, each) in labels(names(all), paths).into_iter().zip(all) {
         // Real motion differs between the runs.
         let real = (!same).then(|| column(format!("real ({label})"), &each.real));
         columns.push(column(label, &each.samples));

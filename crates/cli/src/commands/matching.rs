@@ -5,8 +5,8 @@ use std::process::ExitCode;
 
 use kinegrad_capture::Bvh;
 use kinegrad_matching::{
-    CommonJoints, Example, Fixed, Job, JointNames, Keyframe, Looping, PartChoice, Preset, Settings,
-    separated,
+    CommonJoints, Example, Fixed, Heading, Job, JointNames, Keyframe, Looping, PartChoice, Preset,
+    Settings, separated,
 };
 use kinegrad_report::check_ending;
 use kinegrad_train::{Error, Systems};
@@ -234,13 +234,22 @@ fn job(systems: Systems<'_>, arguments: &MatchArguments, first: &Motion) -> Resu
         content: content.transpose()?,
         up: first.unit_and_axis.1,
         contacts: is_paper,
-        heading: arguments.heading,
+        heading: heading(arguments),
         adapts: !sets_mixing(arguments),
         parts,
         keyframes,
         fixed: fixed.collect::<Result<_, Error>>()?,
         lock_feet: arguments.lock_feet,
     })
+}
+
+/// Presets match as their sources do, as recorded.
+fn heading(arguments: &MatchArguments) -> Heading {
+    let default = match arguments.preset {
+        Some(_) => Heading::World,
+        None => Heading::Auto,
+    };
+    arguments.heading.unwrap_or(default)
 }
 
 /// True if an option decides how much is mixed.
@@ -260,7 +269,10 @@ fn settings(arguments: &MatchArguments) -> Result<Settings, Error> {
         settings = settings.with_coherence(coherence)?;
     }
     if arguments.looping {
-        settings.looping = Looping::Even;
+        settings.looping = match arguments.preset {
+            Some(Preset::Published) => Looping::Halves,
+            _ => Looping::Even,
+        };
     }
     let set = |value: Option<f64>, of: &mut f64| *of = value.unwrap_or(*of);
     set(arguments.pyr_factor, &mut settings.pyr_factor);

@@ -17,7 +17,7 @@ use super::report::terms::term_charts;
 use crate::args::PlotArguments;
 use crate::io::{Motion, MotionArray, file_stem, must_be_new};
 use crate::output::{draw, unusable};
-use crate::runs::folder_name;
+use crate::runs::{folder_name, labels};
 use crate::scene::{self, Reading};
 
 /// Plots a motion file or runs.
@@ -173,7 +173,8 @@ fn known_panels(
 fn run_panels(folders: &[PathBuf], terms: bool) -> Result<Vec<Panel>, Error> {
     let records = folders.iter().map(|folder| metrics(folder));
     let records = records.collect::<Result<Vec<_>, Error>>()?;
-    let names: Vec<String> = folders.iter().map(|folder| folder_name(folder)).collect();
+    let names = folders.iter().map(|folder| folder_name(folder)).collect();
+    let names = labels(names, folders);
     let runs = names.iter().zip(&records);
     let runs: Vec<Metrics<'_>> = runs.map(|(name, records)| (&**name, &**records)).collect();
     Ok(match terms {

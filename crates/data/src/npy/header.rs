@@ -102,9 +102,12 @@ pub(super) fn read(bytes: &[u8], file: &str) -> Result<Header, FileError> {
 
 const TOO_LARGE: &str = "its header declares an array too large to exist";
 
+/// The first bytes of every file.
+pub(super) const MAGIC: &[u8] = b"\x93NUMPY";
+
 /// The header's text and the offset of the data.
 fn text(bytes: &[u8]) -> Result<(&str, usize), String> {
-    if bytes.len() < 10 || &bytes[..6] != b"\x93NUMPY" {
+    if bytes.len() < 10 || !bytes.starts_with(MAGIC) {
         return Err("it lacks the magic string".to_owned());
     }
     let (start, length) = match bytes[6] {

@@ -155,3 +155,17 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn an_array_that_is_stacked_already_is_read() {
+    let features = ramp(3);
+    for shape in [vec![AUDIO_CHANNELS, 3], vec![1, AUDIO_CHANNELS, 3]] {
+        let bytes = npy::array_bytes(&shape, features.as_slice());
+        assert_eq!(read(&bytes).unwrap(), features);
+    }
+    for shape in [vec![3, AUDIO_CHANNELS], vec![2, AUDIO_CHANNELS, 3]] {
+        let values = vec![0.0; shape.iter().product()];
+        let error = read(&npy::array_bytes(&shape, &values)).unwrap_err();
+        assert!(error.to_string().contains("[163, frames]"), "{error}");
+    }
+}

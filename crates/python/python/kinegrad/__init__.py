@@ -25,7 +25,7 @@ from .errors import (
     StorageError,
     UsageError,
 )
-from .motion import Bvh, SongFeatures, audio_features, check, read_bvh, write_bvh
+from .motion import Bvh, SongFeatures, audio_features, check, postprocess, read_bvh, write_bvh
 from .runs import Run, Sample, StepReport, train
 
 __all__ = [
@@ -48,6 +48,7 @@ __all__ = [
     "check",
     "errors",
     "metrics",
+    "postprocess",
     "read_bvh",
     "train",
     "write_bvh",

@@ -91,6 +91,34 @@ def check(
     return report
 
 
+def postprocess(
+    motion: ArrayLike | PathArgument,
+    profile: Literal["default", "ccmotion", "none"] = "default",
+    run: PathArgument | None = None,
+    settings: dict[str, Any] | None = None,
+) -> NDArray[np.float32]:
+    """Post-processes a phrase, as `kinegrad sample --postprocess`.
+
+    Args:
+        motion: A phrase `[T, 25]`, or the path of its `.npy` file.
+        profile: `"default"`, `"ccmotion"` (exactly CC-MotionGen's) or `"none"`.
+        run: Run or checkpoint whose training statistics widen the limits and scale the fit of
+            coherent motion. Without a run nothing is fitted.
+        settings: Keys of the table `evaluation.postprocess` that differ from the profile's, such as
+            `{"apply_smoothing": True}`.
+
+    Returns:
+        The phrase, `[T, 25]`.
+
+    Raises:
+        UsageError: For another array, or an unknown key.
+    """
+    if isinstance(motion, (str, Path)):
+        motion = np.load(motion)
+    array = np.asarray(motion, dtype=np.float32)
+    return _kinegrad.postprocess(array, profile, json.dumps(settings or {}), run)
+
+
 def audio_features(song: PathArgument) -> SongFeatures:
     """Computes the audio features of a song (mp3, wav, flac, ogg), as `kinegrad audio features`.
 

@@ -202,7 +202,8 @@ class Run:
             audio: Song to use as the condition, of any length; from `start` to its end if there is
                 no `frames`.
             start: Position in the song, in seconds, at which the motion starts.
-            audio_features: `features.npz` to use as the condition.
+            audio_features: `features.npz`, or a `.npy` file of `[163, frames]`, to use as the
+                condition.
             goal: Goal file or files for position control of a clip.
             text: Text to use as the condition, embedded with `text_encoder`; for runs with
                 `data.humanml3d.text = "labels"` one of the training captions.
@@ -299,7 +300,11 @@ class Run:
         self,
         *,
         source: str | None = None,
+        songs: PathArgument | None = None,
+        num_samples: int | None = None,
+        num_frames: int | None = None,
         trajectory_run: PathArgument | Run | None = None,
+        audio_ablation: bool = False,
         seed: int = 0,
         steps: int | None = None,
         guidance_scale: float | None = None,
@@ -313,7 +318,11 @@ class Run:
 
         Args:
             source: Dataset whose held-out items are used, instead of the run's own.
+            songs: Folder of songs without motion, or a song, instead of held-out phrases.
+            num_samples: Most samples in total.
+            num_frames: Most frames of a sample: phrases are cut, songs are divided.
             trajectory_run: Run of recipe `gmd_trajectory` for two-stage sampling.
+            audio_ablation: Compares each phrase's own music with silence and altered music.
             seed: Random seed of the noise.
             steps: Number of denoising steps.
             guidance_scale: Classifier-free guidance scale.
@@ -328,8 +337,17 @@ class Run:
             KeyboardInterrupt: On Ctrl-C, after the denoising step.
         """
         model = self._model(settings, steps, guidance_scale, weights, device)
+        request = {
+            "source": source,
+            "songs": songs,
+            "num_samples": num_samples,
+            "num_frames": num_frames,
+            "trajectory_run": _run_path(trajectory_run),
+            "audio_ablation": audio_ablation,
+            "seed": seed,
+        }
         with reporting(progress, "denoising steps") as report:
-            text = _kinegrad.evaluate(model, source, _run_path(trajectory_run), seed, report)
+            text = _kinegrad.evaluate(model, request, report)
         evaluated: dict[str, Any] = json.loads(text)
         return evaluated
 

@@ -1,12 +1,14 @@
 //! Several runs on one page.
 
+use std::path::PathBuf;
+
 use kinegrad_report::page::{Block, Cell, Page, Section, Table};
 use kinegrad_train::telemetry::{Record, read_environments};
 use serde_json::Value;
 
 use super::curves::{Metrics, charts};
 use super::{evaluation, facts, records};
-use crate::runs::{Run, folder_name};
+use crate::runs::{Run, folder_name, labels};
 
 /// Largest number of keys of the configs in the table.
 const MOST_KEYS: usize = 200;
@@ -14,7 +16,9 @@ const MOST_KEYS: usize = 200;
 /// The curves of all runs together, their main facts, their evaluations and the differences of their
 /// configs.
 pub fn page(runs: &[Run]) -> Page {
-    let names: Vec<String> = runs.iter().map(|run| folder_name(&run.folder)).collect();
+    let folders: Vec<PathBuf> = runs.iter().map(|run| run.folder.clone()).collect();
+    let names = runs.iter().map(|run| folder_name(&run.folder)).collect();
+    let names = labels(names, &folders);
     let records: Vec<Vec<Record>> = runs.iter().map(records).collect();
     let metrics = names.iter().zip(&records);
     let metrics: Vec<Metrics<'_>> = metrics.map(|(name, own)| (&**name, &**own)).collect();
@@ -24,9 +28,9 @@ pub fn page(runs: &[Run]) -> Page {
     training.add(Block::Charts(charts(&metrics)));
     let mut config = Section::new("Differences of the configs");
     config.add(Block::Table(differences(runs, &names)));
-    let folders: Vec<String> = runs
+    let folders: Vec<String> = folders
         .iter()
-        .map(|run| run.folder.display().to_string())
+        .map(|path| path.display().to_string())
         .collect();
     Page {
         title: names.join(", "),
