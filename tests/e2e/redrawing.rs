@@ -68,8 +68,10 @@ fn described(record: &Value) -> (Vec<String>, String) {
     give("--count", count.to_string());
     give("--seed", record["seed"].to_string());
     let mut sampler = record["sampler"].as_object().expect("settings").clone();
-    let clip = sampler.remove("clip").expect("a setting");
-    settings("sampling.clip", &clip, &mut arguments);
+    for key in ["clip", "precision"] {
+        let value = sampler.remove(key).expect("a setting");
+        settings(&format!("sampling.{key}"), &value, &mut arguments);
+    }
     if let Some(padding) = sampler.remove("padding") {
         settings("steering.padding", &padding, &mut arguments);
     }
