@@ -78,10 +78,9 @@ pub fn postprocess<'py>(
                 "give an array [T, 25]",
             ));
         }
-        let state = run.as_deref().map(|run| Ok(checkpoint(run)?.state));
-        let state = state.transpose()?;
-        let statistics = state.as_ref();
-        let statistics = statistics.map(|state| state.statistics_of(&*representation));
+        let saved = run.as_deref().map(checkpoint).transpose()?;
+        let statistics = saved.as_ref();
+        let statistics = statistics.map(|saved| saved.state.statistics_of(&*representation));
         let config = changed(profile.into(), settings)?;
         Ok(process(
             &Phrase::new(values)?,
