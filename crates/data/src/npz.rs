@@ -23,10 +23,10 @@ const METHOD: CompressionMethod = CompressionMethod::Stored;
 const MOST_UNPACKED: usize = 1032;
 
 /// Parses the bytes of a `features.npz` and stacks the arrays to `[channels, frames]` of `layout`
-/// (CC-MotionGen, section 4.3), or a `.npy` array that is stacked already. Other members are ignored; `file` names the file in errors. Fails
-/// with [`FileError`] for an unreadable or truncated archive, a missing member, another dtype or
-/// shape, and members of unequal length. Accepts values that are not finite (see
-/// [`crate::load_audio`]).
+/// (CC-MotionGen, section 4.3), or reads a `.npy` array that is stacked already. Other members are
+/// ignored; `file` names the file in errors. Fails with [`FileError`] for an unreadable or truncated
+/// archive, a missing member, another dtype or shape, and members of unequal length. Accepts values
+/// that are not finite (see [`crate::load_audio`]).
 pub fn parse_features(
     bytes: &[u8],
     file: &str,
