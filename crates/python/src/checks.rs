@@ -7,6 +7,7 @@ use kinegrad_motion::postprocess::{PostProcessConfig, process};
 use kinegrad_motion::{
     CHANNELS, Phrase, PostProcessProfile, Profile, SanityThresholds, check_thresholds,
 };
+use kinegrad_settings::InvalidSetting;
 use kinegrad_systems::BUILT_IN;
 use kinegrad_train::Error;
 use numpy::{PyArrayDyn, PyReadonlyArrayDyn};
@@ -104,6 +105,7 @@ fn changed(config: PostProcessConfig, settings: &str) -> Result<PostProcessConfi
         }
     }
     let config: PostProcessConfig = serde_json::from_value(table).map_err(unusable)?;
-    config.validate()?;
+    let invalid = |error: InvalidSetting| Error::usage(format!("`settings`: {error}"), keys);
+    config.validate().map_err(invalid)?;
     Ok(config)
 }
