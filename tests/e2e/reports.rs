@@ -409,7 +409,7 @@ fn runs_are_plotted_and_reported_together() {
     // Each chart names both runs.
     assert!(named("one") >= 3 && named("one") == named("two"));
     holds(&both, &["validation loss", "gradient norm"]);
-    // Runs of one name are told apart by their folders.
+    // Two runs of one name are labelled by their folders.
     fs::create_dir(sandbox.path("kept")).expect("a folder");
     fs::rename(sandbox.path("runs/two"), sandbox.path("kept/one")).expect("renamed");
     sandbox
